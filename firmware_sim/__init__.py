@@ -1,0 +1,1 @@
+"""Simulated firmware: the valve and potentiometer boards, and the plants behind them."""

@@ -1,0 +1,161 @@
+"""Run-time control laws: every controller file becomes one sampled state space with anti-windup.
+
+x[k+1] = A x[k] + B [r, y] + L (u_applied - u),  u = C x + D [r, y].
+
+The observer gain L is the stationary Kalman predictor of the law seen as x+ = A x + b v, u = C x + d v. For a
+law with stable zeros and d != 0 it is Hanus' conditioning, L = b/d (Hanus, Kinnaert, Henrotte, Automatica
+1987); where a zero is unstable or on the circle it is the stable gain next to it. So a saturated law forgets
+at the pace of its own zeros, and L never acts while the limits do not.
+
+Numbers are plain floats at run time: numpy costs more than it saves at these sizes. No clock, no I/O.
+"""
+
+from __future__ import annotations
+
+from operator import mul
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.controller_file import Law, Pid, StateSpace, TransferFunction
+
+Matrix = NDArray[np.float64]
+
+
+class Realisation(NamedTuple):
+    """A sampled law: A (n, n), B (n, 2), C (1, n), D (1, 2), inputs [r, y], output u in volts."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+
+def realise(law: Law, sample_time_s: float) -> Realisation:
+    """State space of a controller file's law at ``sample_time_s``; exactly what the daemon runs."""
+    match law:
+        case Pid():
+            return _realise_pid(law, sample_time_s)
+        case TransferFunction(num=num, den=den):
+            return _realise_transfer_function(np.array(num), np.array(den))
+        case StateSpace():
+            n = len(law.A)
+            A = np.array(law.A).reshape(n, n)
+            m = 1 if law.inputs == "e" else 2
+            B, C, D = (
+                np.array(law.B).reshape(n, m),
+                np.array(law.C).reshape(1, n),
+                np.array(law.D).reshape(1, m),
+            )
+            return Realisation(A, _of_error(B), C, _of_error(D)) if m == 1 else Realisation(A, B, C, D)
+
+
+class ControlLaw:
+    """One axis' controller at run time. Call ``output``, limit it, then ``advance`` with what left."""
+
+    def __init__(self, law: Law, sample_time_s: float) -> None:
+        A, B, C, D = realise(law, sample_time_s)
+        L = anti_windup_gain(A, B[:, :1], C, D[:, :1])
+        n = A.shape[0]
+        self._A = [tuple(row) for row in A.tolist()]
+        self._Br = B[:, 0].tolist()
+        self._By = B[:, 1].tolist()
+        self._C: list[float] = C[0].tolist()
+        self._Dr, self._Dy = float(D[0, 0]), float(D[0, 1])
+        self._L: list[float] = L[:, 0].tolist()
+        # Where the conditioned law settles while r, y and u stand still: x = settled_w [r, y] + settled_u u.
+        conditioned = np.eye(n) - A + L @ C
+        self._settled_w = np.linalg.solve(conditioned, B - L @ D)
+        self._settled_u = np.linalg.solve(conditioned, L)
+        self._x = [0.0] * n
+        self._r = self._y = self._u = 0.0
+
+    def initialise(self, r: float, y: float, u: float) -> None:
+        """Bumpless hand-over: the next ``output(r, y)`` is ``u``, as if u had long been held."""
+        x = self._settled_w @ np.array([[r], [y]]) + self._settled_u * u
+        self._x = x[:, 0].tolist()
+        if not self._x:
+            return
+        direction = self._settled_u
+        if not np.any(direction):
+            direction = np.array([self._C]).T
+        gain = float((np.array([self._C]) @ direction)[0, 0])
+        if gain != 0.0:
+            x = x + direction * ((u - self.output(r, y)) / gain)
+            self._x = x[:, 0].tolist()
+
+    def output(self, r: float, y: float) -> float:
+        """u in volts from setpoint r and process variable y, in the axis' unit. Changes no state."""
+        u = sum(map(mul, self._C, self._x), self._Dr * r + self._Dy * y)
+        self._r, self._y, self._u = r, y, u
+        return u
+
+    def advance(self, u_applied: float) -> None:
+        """Step to the next sample; ``u_applied`` is what the limits let through, in volts."""
+        x, r, y = self._x, self._r, self._y
+        excess = u_applied - self._u
+        self._x = [
+            sum(map(mul, row, x), br * r + by * y + gain * excess)
+            for row, br, by, gain in zip(self._A, self._Br, self._By, self._L, strict=True)
+        ]
+
+
+def anti_windup_gain(A: Matrix, b: Matrix, C: Matrix, d: Matrix) -> Matrix:
+    """Gain L (n, 1) such that A - L C is stable: Kalman predictor of x+ = A x + b v, u = C x + d v + noise.
+
+    The Riccati equation is solved by structure-preserving doubling (Chu, Fan, Lin, Wang 2004) after the cross
+    term has been removed. A little measurement noise keeps zeros on the unit circle (Tustin puts one at -1 in
+    a strictly proper law) from ringing.
+    """
+    n = A.shape[0]
+    if n == 0:
+        return np.zeros((0, 1))
+    impulse_response = [d, *(C @ np.linalg.matrix_power(A, k) @ b for k in range(n))]
+    scale = max(float(np.max(np.abs(impulse_response))), 1e-12)
+    R = d @ d.T + (0.1 * scale) ** 2
+    S = b @ d.T
+    gain_direct = S / R
+    # Dual DARE: P = F P F' - F P C' (R + C P C')^-1 C P F' + Q
+    F = A - gain_direct @ C
+    Q = b @ b.T - gain_direct @ S.T
+    E, G, H = F.T.copy(), C.T @ C / R, Q
+    for _ in range(60):
+        W = np.linalg.inv(np.eye(n) + G @ H)
+        step = E.T @ H @ W @ E
+        G = G + E @ W @ G @ E.T
+        E = E @ W @ E
+        H = H + step
+        if np.abs(step).max() <= 1e-14 * max(np.abs(H).max(), 1e-300):
+            break
+    P = 0.5 * (H + H.T)
+    return np.asarray((A @ P @ C.T + S) / (R + C @ P @ C.T), dtype=np.float64)
+
+
+def _realise_pid(pid: Pid, ts: float) -> Realisation:
+    """Eq. (19) by Tustin: 1/s is Ts/2 (z+1)/(z-1), the filtered derivative g (z-1)/(z-beta)."""
+    beta = (2.0 * pid.tau_d - ts) / (2.0 * pid.tau_d + ts)
+    g = 2.0 * pid.kd / (2.0 * pid.tau_d + ts)
+    half = 0.5 * pid.ki * ts
+    A = np.diag([1.0, beta])
+    B = np.array([[1.0, -1.0], [pid.c, -1.0]])
+    C = np.array([[2.0 * half, g * (beta - 1.0)]])
+    D = np.array([[pid.kp * pid.b + half + g * pid.c, -(pid.kp + half + g)]])
+    kept = [i for i, gain in enumerate((pid.ki, pid.kd)) if gain != 0.0]
+    return Realisation(A[np.ix_(kept, kept)], B[kept], C[:, kept], D)
+
+
+def _realise_transfer_function(num: Matrix, den: Matrix) -> Realisation:
+    """Observer companion form of num(z)/den(z)."""
+    n = len(den) - 1
+    a = den[1:] / den[0]
+    b = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0]
+    A = np.hstack([-a.reshape(n, 1), np.eye(n, max(n - 1, 0))]) if n else np.zeros((0, 0))
+    B = (b[1:] - a * b[0]).reshape(n, 1)
+    C = np.eye(1, n) if n else np.zeros((1, 0))
+    return Realisation(A, _of_error(B), C, _of_error(b[:1].reshape(1, 1)))
+
+
+def _of_error(columns: Matrix) -> Matrix:
+    """Columns for [r, y] from a column for e = r - y."""
+    return np.hstack([columns, -columns])

@@ -1,0 +1,177 @@
+"""The rig file: one TOML, read once, into one frozen :class:`Rig`.
+
+Lives here: what the loop, the boards and the axes are, and the cross-checks between them. Does not live
+here: reading the disk (the shells and commands do). The commented example is ``hil/rig.toml``.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from hil.documents import Document, from_toml
+from hil.errors import DocumentError
+
+WIRE_RANGE_V = (0.0, 32767 * 10.0 / 32768)
+"""What an analogue channel of the DBC can carry, in volts."""
+
+Periods = Annotated[int, msgspec.Meta(ge=1, le=1000)]
+Channel = Annotated[int, msgspec.Meta(ge=1, le=3)]
+Volts = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
+
+
+class Loop(Document, frozen=True):
+    """The control loop. ``period_s`` is the sample time of every controller, in seconds."""
+
+    period_s: Annotated[float, msgspec.Meta(ge=0.001, le=1.0)]
+
+    @property
+    def period_ns(self) -> int:
+        """The period as an integer of nanoseconds: 0.0112 s is 11_200_000 ns."""
+        return round(self.period_s * 1e9)
+
+
+class Bus(Document, frozen=True):
+    """Where the boards are: ``sim`` starts the simulated boards in a process of their own."""
+
+    channel: str = "sim"
+
+
+class Gateway(Document, frozen=True):
+    """The gateway as a CANopen node."""
+
+    heartbeat_periods: Periods
+    """A heartbeat is sent every so many periods."""
+
+
+class Adc(Document, frozen=True):
+    """The potentiometer board, node 0x10."""
+
+    protected: bool
+    """TPDO1 carries counter and CRC (8 bytes); false for modules that have none (6 bytes)."""
+    stale_after_periods: Periods
+    """So many periods without an acceptable sample are a fault; until then the valves hold."""
+    heartbeat_timeout_periods: Periods
+    """So many periods without the board's heartbeat are a fault."""
+
+
+class Dac(Document, frozen=True):
+    """The valve board, node 0x20."""
+
+    protected: bool
+    """RPDO1 carries counter and CRC (8 bytes); false for modules that have none (6 bytes)."""
+    apply: Literal["at sync", "at once"]
+    """When a command reaches the valve: at the next SYNC (one period of delay, no jitter) or at once."""
+    watchdog_periods: Periods
+    """So many periods without a good command and the board centres its valves."""
+    heartbeat_timeout_periods: Periods
+    """So many periods without the board's heartbeat are a fault; the board watches the gateway's likewise."""
+
+
+class Potentiometer(Document, frozen=True):
+    """Position from voltage, linear: ``y_at_0v`` and ``y_at_10v`` in the axis' unit."""
+
+    channel: Channel
+    y_at_0v: float
+    y_at_10v: float
+    min_v: Volts
+    """A voltage under this is a broken wire or a short, never a position."""
+    max_v: Volts
+
+    def position(self, volts: float) -> float:
+        """Position in the axis' unit at ``volts``."""
+        return self.y_at_0v + (self.y_at_10v - self.y_at_0v) * (volts * 0.1)
+
+    def volts(self, position: float) -> float:
+        """Voltage at a ``position`` in the axis' unit."""
+        return 10.0 * (position - self.y_at_0v) / (self.y_at_10v - self.y_at_0v)
+
+
+class Valve(Document, frozen=True):
+    """A proportional valve. The manipulated variable u is the offset in volts from ``centre_v``."""
+
+    channel: Channel
+    centre_v: Volts
+    min_v: Volts
+    max_v: Volts
+    max_rate_v_s: Annotated[float, msgspec.Meta(gt=0.0)]
+    """Largest change of the command in volts a second."""
+
+
+class Axis(Document, frozen=True):
+    """One independent SISO loop."""
+
+    unit: Literal["m", "rad"]
+    setpoint: str
+    """Default setpoint, as ``--setpoint`` takes it (without the axis' name)."""
+    controller: str
+    """A controller shipped with the package (``ppid``) or a file, relative to the rig file."""
+    min_y: float
+    """Setpoints under this are refused; in the axis' unit."""
+    max_y: float
+    potentiometer: Potentiometer
+    valve: Valve
+
+
+class Rig(Document, frozen=True):
+    """The whole rig file. Axes keep the file's order."""
+
+    loop: Loop
+    gateway: Gateway
+    adc: Adc
+    dac: Dac
+    axes: Annotated[dict[str, Axis], msgspec.Meta(min_length=1, max_length=3)]
+    bus: Bus = Bus()
+
+
+def read_rig(text: str, source: str) -> Rig:
+    """Read and cross-check the text of a rig file; ``source`` is its name for errors.
+
+    Raises DocumentError naming file, key, value and limit.
+    """
+    rig = from_toml(text, Rig, source)
+    for name, axis in rig.axes.items():
+        _check_axis(axis, f"{source}: axes.{name}")
+    for part in ("potentiometer", "valve"):
+        _check_channels(rig, part, source)
+    return rig
+
+
+def _check_axis(axis: Axis, where: str) -> None:
+    valve, pot = axis.valve, axis.potentiometer
+    lowest, highest = WIRE_RANGE_V
+    if not lowest <= valve.min_v < valve.centre_v < valve.max_v:
+        raise DocumentError(
+            f"{where}.valve: min_v < centre_v < max_v does not hold for "
+            f"{valve.min_v} V, {valve.centre_v} V, {valve.max_v} V"
+        )
+    if not pot.min_v < pot.max_v:
+        raise DocumentError(f"{where}.potentiometer: min_v {pot.min_v} V is not under max_v {pot.max_v} V")
+    if pot.max_v > highest:
+        raise DocumentError(
+            f"{where}.potentiometer.max_v: {pot.max_v} V exceeds {highest:.4f} V, the most that "
+            "TPDO1_ADC can carry (arm.dbc)"
+        )
+    if pot.y_at_0v == pot.y_at_10v:
+        raise DocumentError(f"{where}.potentiometer: y_at_0v and y_at_10v are both {pot.y_at_0v}")
+    if not axis.min_y < axis.max_y:
+        raise DocumentError(f"{where}: min_y {axis.min_y} is not under max_y {axis.max_y}")
+    for key in ("min_y", "max_y"):
+        volts = pot.volts(getattr(axis, key))
+        if not pot.min_v <= volts <= pot.max_v:
+            raise DocumentError(
+                f"{where}.{key}: {getattr(axis, key)} {axis.unit} is {volts:.3f} V at the potentiometer, "
+                f"outside its {pot.min_v} to {pot.max_v} V"
+            )
+
+
+def _check_channels(rig: Rig, part: str, source: str) -> None:
+    taken: dict[int, str] = {}
+    for name, axis in rig.axes.items():
+        channel = getattr(axis, part).channel
+        if channel in taken:
+            raise DocumentError(
+                f"{source}: axes.{name}.{part}.channel: channel {channel} is taken by axes.{taken[channel]}"
+            )
+        taken[channel] = name
