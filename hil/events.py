@@ -41,7 +41,7 @@ class AxisSignals(NamedTuple):
 class Cycle(NamedTuple):
     """One period of the core. Instants are on the shell's monotonic clock, in nanoseconds."""
 
-    index: int
+    number: int
     deadline_ns: int
     """When SYNC was due."""
     wake_ns: int

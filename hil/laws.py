@@ -86,7 +86,7 @@ class ControlLaw:
             self._x = x[:, 0].tolist()
 
     def output(self, r: float, y: float) -> float:
-        """u in volts from setpoint r and process variable y, in the axis' unit. Changes no state."""
+        """Output u in volts from setpoint r and process variable y, in the axis' unit. Changes no state."""
         u = sum(map(mul, self._C, self._x), self._Dr * r + self._Dy * y)
         self._r, self._y, self._u = r, y, u
         return u
