@@ -1,8 +1,8 @@
 """The last step before the wire: every RPDO1_DAC frame is made here, and nowhere else.
 
 What a controller asks for is limited in magnitude and in rate, rounded to what the frame can carry without
-leaving the limits, counted, and protected by a CRC. Centring (5 V) is immediate: it is the safe state and does
-not pass the rate limit.
+leaving the limits, counted, and protected by a CRC. Centring (5 V) is immediate: it is the safe state and
+does not pass the rate limit.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ValveCommands:
         allowed = min(max(wanted, before - step), before + step)
         allowed = min(max(allowed, self._lowest[index]), self._highest[index])
         self.volts[index] = allowed
-        return allowed - self._centres[index]
+        return offset_v if allowed == wanted else allowed - self._centres[index]
 
     def frame(self) -> Frame:
         """The next RPDO1_DAC frame, with the present commands."""

@@ -1,0 +1,338 @@
+"""The gateway core: given frames and the time, it gives back frames, events and its next deadline.
+
+No socket, no clock, no thread, no file: the shells own those. One period:
+
+    on_deadline -> SYNC     ADC samples     receive(TPDO1) -> guards -> control laws -> limits -> RPDO1
+
+A command leaves only in answer to a good sample of the same period (RUNNING), or centres the valves (every
+other state). A missing or rejected sample sends nothing: the board holds, and after
+``adc.stale_after_periods`` such periods the gateway faults.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from hil.events import AxisSignals, Cycle, Event, Output, Severity
+from hil.frames import Frame
+from hil.guards import SampleGuard
+from hil.laws import ControlLaw
+from hil.life_cycle import OPERATOR_TRIGGERS, State, Trigger, allowed_triggers, next_state
+from hil.limits import ValveCommands
+from hil.rig import Rig
+from hil.setpoints import Setpoint
+from hil.supervision import BoardWatch, NmtState
+from hil.wire import codec
+
+ADC_NODE, DAC_NODE = 0x10, 0x20
+BUS_OFF = 0x40
+"""CAN_ERR_BUSOFF of linux/can/error.h."""
+
+OWN_IDENTIFIERS = {
+    codec.RPDO1_DAC: "RPDO1_DAC",
+    codec.SYNC: "SYNC",
+    codec.NMT: "NMT",
+    codec.HEARTBEAT_GATEWAY: "HEARTBEAT_GATEWAY",
+}
+"""What only the gateway sends: the same from elsewhere is a second master on the bus."""
+
+_SYNC_FRAME = Frame(codec.SYNC)
+_NOTHING = Output()
+
+
+class _Axis:
+    """One loop: its setpoint, its law, and the scaling of its potentiometer."""
+
+    __slots__ = ("law", "name", "position", "setpoint", "signals")
+
+    def __init__(self, rig: Rig, name: str, law: ControlLaw, setpoint: Setpoint) -> None:
+        axis = rig.axes[name]
+        self.name = name
+        self.law = law
+        self.setpoint = setpoint.at
+        self.position = axis.potentiometer.position
+        self.signals = AxisSignals(math.nan, math.nan, math.nan, 0.0, axis.valve.centre_v, math.nan)
+
+
+class Gateway:
+    """The state machine. ``laws`` and ``setpoints`` are by axis name; times are monotonic nanoseconds."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        laws: Mapping[str, ControlLaw],
+        setpoints: Mapping[str, Setpoint],
+        first_deadline_ns: int,
+    ) -> None:
+        self._rig = rig
+        self._period_ns = period_ns = rig.loop.period_ns
+        self._axes = tuple(_Axis(rig, name, laws[name], setpoints[name]) for name in rig.axes)
+        self._guard = SampleGuard(rig)
+        self._valves = ValveCommands(
+            [axis.valve for axis in rig.axes.values()], rig.loop.period_s, rig.dac.protected
+        )
+        self._adc = BoardWatch(
+            "adc", ADC_NODE, rig.adc.heartbeat_timeout_periods * period_ns, "adc.heartbeat_timeout_periods"
+        )
+        self._dac = BoardWatch(
+            "dac", DAC_NODE, rig.dac.heartbeat_timeout_periods * period_ns, "dac.heartbeat_timeout_periods"
+        )
+        self._boards = (self._adc, self._dac)
+        self.state = State.OFFLINE
+        self.fault_reason: str | None = None
+        self.next_deadline_ns = first_deadline_ns
+        self.missed_periods = 0
+        """Periods whose deadline passed before the core was called; they are skipped, never caught up."""
+        self.rejected_frames = 0
+        self.error_frames = 0
+        self._number = -1
+        self._deadline_ns = first_deadline_ns
+        self._wake_ns = 0
+        self._has_sample = True
+        self._stale_periods = 0
+        self._last_rejection = ""
+        self._run_began_ns: int | None = None
+        self._reported_identifiers: set[int] = set()
+
+    @property
+    def lost_samples(self) -> int:
+        """Samples that the ADC board's counter says were lost on the way."""
+        return self._guard.lost
+
+    def on_deadline(self, now_ns: int) -> Output:
+        """Begin the period that is due: SYNC, supervision, and centring where nothing is running."""
+        events: list[Event] = []
+        deadline_ns = self.next_deadline_ns
+        skipped = (now_ns - deadline_ns) // self._period_ns
+        if skipped > 0:
+            text = f"woke {(now_ns - deadline_ns) / 1e6:.1f} ms late: {skipped} periods skipped"
+            events.append(Event(Severity.WARNING, "loop", text))
+            deadline_ns += skipped * self._period_ns
+            self.missed_periods += skipped
+        cycle = self._close_period(max(skipped, 0), events)
+        for board in self._boards:
+            reason = board.overdue(now_ns)
+            if reason is not None:
+                self._lose(board.name, reason, events)
+        self._number += 1 + max(skipped, 0)
+        self._deadline_ns = deadline_ns
+        self._wake_ns = now_ns
+        self._has_sample = False
+        self.next_deadline_ns = deadline_ns + self._period_ns
+        frames = [_SYNC_FRAME]
+        if self._number % self._rig.gateway.heartbeat_periods == 0:
+            frames.append(
+                Frame(codec.HEARTBEAT_GATEWAY, codec.encode_heartbeat_gateway(NmtState.OPERATIONAL))
+            )
+        if self.state is not State.RUNNING:
+            self._valves.centre()
+            frames.append(self._valves.frame())
+        return Output(tuple(frames), tuple(events), cycle)
+
+    def receive(self, frame: Frame, now_ns: int) -> Output:
+        """Take a frame from the bus."""
+        identifier, data, is_extended, is_remote, is_error = frame
+        if is_extended or is_remote or is_error:
+            return self._receive_unusual(frame)
+        if identifier == codec.TPDO1_ADC:
+            return self._receive_sample(data, now_ns)
+        if identifier == codec.HEARTBEAT_ADC:
+            return self._receive_heartbeat(self._adc, data, now_ns)
+        if identifier == codec.HEARTBEAT_DAC:
+            return self._receive_heartbeat(self._dac, data, now_ns)
+        if identifier == codec.EMCY_ADC:
+            return self._receive_emergency(self._adc, data)
+        if identifier == codec.EMCY_DAC:
+            return self._receive_emergency(self._dac, data)
+        if identifier in OWN_IDENTIFIERS:
+            text = f"foreign {OWN_IDENTIFIERS[identifier]} frame {frame}: another master commands this bus"
+            return self._fault("bus", text)
+        return self._report_unexpected(frame)
+
+    def operate(self, trigger: Trigger, now_ns: int) -> Output:
+        """An operator's arm, start, stop, disarm or reset. What the state does not allow is refused."""
+        if trigger not in OPERATOR_TRIGGERS or next_state(self.state, trigger) is None:
+            allowed = ", ".join(allowed_triggers(self.state)) or "nothing"
+            why = "; ".join(f"{board.name} {board.describe()}" for board in self._boards)
+            text = f"{trigger.value} refused in state {self.state.name.lower()} ({why}); allowed: {allowed}"
+            return Output(events=(Event(Severity.WARNING, "life cycle", text),))
+        events: list[Event] = []
+        self._enter(trigger, events)
+        if trigger is Trigger.START:
+            self._run_began_ns = None
+        elif trigger is Trigger.RESET:
+            self.fault_reason = None
+            self._stale_periods = 0
+            self._guard.forget()
+        frames: tuple[Frame, ...] = ()
+        if trigger is Trigger.STOP:
+            self._valves.centre()
+            frames = (self._valves.frame(),)
+        return Output(frames, tuple(events))
+
+    def link_failed(self, reason: str) -> Output:
+        """The shell has lost the bus."""
+        return self._fault("link", reason)
+
+    # One period
+
+    def _receive_sample(self, data: bytes, now_ns: int) -> Output:
+        checked = self._guard.check(data, now_ns - self._wake_ns, not self._has_sample)
+        if isinstance(checked, str):
+            return self._reject(checked)
+        self._has_sample = True
+        self._stale_periods = 0
+        self._last_rejection = ""
+        events: list[Event] = []
+        frames: tuple[Frame, ...] = ()
+        if self.state is State.OFFLINE and self._adc.is_up and self._dac.is_up:
+            self._enter(Trigger.BOARDS_UP, events)
+        if self.state is State.RUNNING:
+            culprit = self._control(checked)
+            if culprit is None:
+                frames = (self._valves.frame(),)
+            else:
+                fault = self._fault(culprit, "control law gave an output that is not finite")
+                frames, events = fault.frames, [*events, *fault.events]
+        else:
+            centres = self._valves.volts
+            for axis, volts, centre_v in zip(self._axes, checked, centres, strict=True):
+                y = axis.position(volts)
+                axis.signals = AxisSignals(y, y, 0.0, 0.0, centre_v, volts)
+        return Output(frames, tuple(events), self._cycle(now_ns, True))
+
+    def _control(self, volts: list[float]) -> str | None:
+        """Run every law on its sample and limit its output; returns the axis whose output is not finite."""
+        is_first = self._run_began_ns is None
+        if self._run_began_ns is None:
+            self._run_began_ns = self._deadline_ns
+        t = (self._deadline_ns - self._run_began_ns) / 1e9
+        for index, (axis, measured) in enumerate(zip(self._axes, volts, strict=True)):
+            r, y = axis.setpoint(t), axis.position(measured)
+            if is_first:
+                axis.law.initialise(r, y, 0.0)
+            u = axis.law.output(r, y)
+            if not math.isfinite(u):
+                return axis.name
+            axis.law.advance(self._valves.command(index, u))
+            axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured)
+        return None
+
+    def _close_period(self, skipped: int, events: list[Event]) -> Cycle | None:
+        """Account for a period that ends without a good sample, and for deadlines that were missed."""
+        if self._number < 0:
+            return None
+        cycle = None if self._has_sample else self._cycle(0, False)
+        missing = skipped + (0 if self._has_sample else 1)
+        if missing == 0 or self.state is State.OFFLINE:
+            return cycle
+        self._stale_periods += missing
+        limit = self._rig.adc.stale_after_periods
+        if self._stale_periods >= limit:
+            cause = self._last_rejection or (
+                f"the loop itself missed {skipped} deadlines" if skipped else "no TPDO1_ADC came"
+            )
+            self._lose(
+                "adc",
+                f"no good sample for {self._stale_periods} periods, limit {limit} "
+                f"(rig: adc.stale_after_periods); last: {cause}",
+                events,
+            )
+        return cycle
+
+    def _cycle(self, receive_ns: int, fresh: bool) -> Cycle:
+        return Cycle(
+            self._number,
+            self._deadline_ns,
+            self._wake_ns,
+            receive_ns,
+            self.state,
+            fresh,
+            tuple([axis.signals for axis in self._axes]),
+        )
+
+    # Everything that is not a sample
+
+    def _receive_heartbeat(self, board: BoardWatch, data: bytes, now_ns: int) -> Output:
+        if len(data) != 1:
+            return self._reject(f"heartbeat of {board.name} has {len(data)} bytes, not 1")
+        was_up, before = board.is_up, board.nmt_state
+        start = board.heartbeat(data[0], now_ns)
+        events: list[Event] = []
+        frames: tuple[Frame, ...] = ()
+        if board.nmt_state != before:
+            events.append(Event(Severity.INFO, board.name, board.describe()))
+        if was_up and not board.is_up:
+            if board is self._adc:
+                self._guard.forget()
+            frames = self._lose(board.name, f"left operational: {board.describe()}", events)
+        return Output((*frames, start) if start else frames, tuple(events))
+
+    def _receive_emergency(self, board: BoardWatch, data: bytes) -> Output:
+        if len(data) != codec.EMCY_ADC_LENGTH:
+            return self._reject(f"EMCY of {board.name} has {len(data)} bytes, not {codec.EMCY_ADC_LENGTH}")
+        emergency = codec.decode_emcy_adc(data)
+        if emergency.error_code == 0:
+            return Output(events=(Event(Severity.INFO, board.name, "EMCY: no error"),))
+        text = f"EMCY 0x{emergency.error_code:04X}, error register 0x{emergency.error_register:02X}"
+        if self.state in (State.ARMED, State.RUNNING):
+            return self._fault(board.name, text)
+        return Output(events=(Event(Severity.WARNING, board.name, text),))
+
+    def _receive_unusual(self, frame: Frame) -> Output:
+        if frame.is_error:
+            if frame.id & BUS_OFF:
+                return self._fault("bus", "bus-off: check wiring, termination and bit rate")
+            self.error_frames += 1
+            if self.error_frames & (self.error_frames - 1):
+                return _NOTHING  # reported when their number doubles
+            text = f"error frame {frame}, {self.error_frames} so far"
+            return Output(events=(Event(Severity.WARNING, "bus", text),))
+        return self._report_unexpected(frame)
+
+    def _report_unexpected(self, frame: Frame) -> Output:
+        if frame.id in self._reported_identifiers:
+            return _NOTHING
+        self._reported_identifiers.add(frame.id)
+        text = f"frame {frame} is not in arm.dbc; further ones of its identifier are ignored in silence"
+        return Output(events=(Event(Severity.WARNING, "bus", text),))
+
+    def _reject(self, reason: str) -> Output:
+        self.rejected_frames += 1
+        is_repeated = self._last_rejection != ""
+        self._last_rejection = reason
+        if is_repeated:
+            return _NOTHING  # one report until a good sample comes
+        return Output(events=(Event(Severity.WARNING, "guard", f"rejected: {reason}"),))
+
+    # Life cycle
+
+    def _lose(self, source: str, reason: str, events: list[Event]) -> tuple[Frame, ...]:
+        """A board or its samples are gone: a fault once armed, else offline. Returns frames to send."""
+        if self.state in (State.ARMED, State.RUNNING):
+            fault = self._fault(source, reason)
+            events.extend(fault.events)
+            return fault.frames
+        if self.state is not State.FAULT:
+            events.append(Event(Severity.WARNING, source, reason))
+        if self.state is State.READY:
+            self._enter(Trigger.BOARDS_LOST, events)
+        return ()
+
+    def _fault(self, source: str, reason: str) -> Output:
+        """Latch a fault and centre every valve at once."""
+        if self.state is State.FAULT:
+            return Output(events=(Event(Severity.WARNING, source, reason),))
+        self.fault_reason = f"{source}: {reason}"
+        events = [Event(Severity.FATAL, source, reason)]
+        self._enter(Trigger.FAULT, events)
+        self._valves.centre()
+        return Output((self._valves.frame(),), tuple(events))
+
+    def _enter(self, trigger: Trigger, events: list[Event]) -> None:
+        after = next_state(self.state, trigger)
+        assert after is not None, f"{trigger} in {self.state}"
+        text = f"{self.state.name.lower()} -> {after.name.lower()} ({trigger.value})"
+        events.append(Event(Severity.INFO, "life cycle", text))
+        self.state = after

@@ -1,0 +1,66 @@
+"""Guards on every sample: only a sound, expected, fresh TPDO1 becomes a position.
+
+A rejected sample is reported with its reason and counts as none. Nothing here decides what a missing sample
+means: the gateway does.
+"""
+
+from __future__ import annotations
+
+from hil.rig import Rig
+from hil.wire import codec
+from hil.wire.crc8 import crc8_j1850
+
+
+class SampleGuard:
+    """Checks of TPDO1_ADC, in the order length, CRC, counter, once a period, age, range."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._protected = rig.adc.protected
+        self._length = codec.TPDO1_ADC_LENGTH if self._protected else codec.TPDO1_ADC_LENGTH - 2
+        self._period_ns = rig.loop.period_ns
+        self._channels = tuple(
+            (axis.potentiometer.channel - 1, axis.potentiometer.min_v, axis.potentiometer.max_v, name)
+            for name, axis in rig.axes.items()
+        )
+        self._counter: int | None = None
+        self.lost = 0
+        """Frames that the counter says were sent and never came."""
+
+    def forget(self) -> None:
+        """Expect any counter next: the board has restarted."""
+        self._counter = None
+
+    def check(self, data: bytes, age_ns: int, is_first: bool) -> list[float] | str:
+        """Potentiometer voltages in the rig's order of axes, or the reason of the rejection.
+
+        ``age_ns`` is the time since SYNC was sent, ``is_first`` whether this period has had no sample yet.
+        """
+        if len(data) != self._length:
+            return f"TPDO1_ADC has {len(data)} bytes, not {self._length} (rig: adc.protected)"
+        if self._protected:
+            crc = crc8_j1850(data[:7])
+            if crc != data[7]:
+                return f"TPDO1_ADC: CRC 0x{data[7]:02X}, computed 0x{crc:02X}"
+            counter = data[6]
+            if self._counter is not None:
+                step = (counter - self._counter) & 0xFF
+                if step == 0:
+                    return f"TPDO1_ADC: counter {counter} repeated"
+                self.lost += step - 1
+            self._counter = counter
+        if not is_first:
+            return "TPDO1_ADC: second sample in one period"
+        if age_ns > self._period_ns:
+            return (
+                f"TPDO1_ADC: {age_ns / 1e6:.2f} ms after SYNC exceeds {self._period_ns / 1e6:g} ms "
+                "(rig: loop.period_s)"
+            )
+        sample = codec.decode_tpdo1_adc(data if self._protected else data + b"\0\0")
+        volts = [sample[channel] for channel, _, _, _ in self._channels]
+        for value, (_, lowest, highest, axis) in zip(volts, self._channels, strict=True):
+            if not lowest <= value <= highest:
+                return (
+                    f"{axis}: potentiometer {value:.3f} V outside {lowest:g} to {highest:g} V "
+                    f"(rig: axes.{axis}.potentiometer), broken wire or short"
+                )
+        return volts
