@@ -1,0 +1,281 @@
+"""Links: one bus or serial line each, all through python-can, opened from a text such as ``vcan0``.
+
+Lives here: the :class:`Link` that the shells use, and :func:`open_link`. The buses that python-can's own
+do not serve well enough are in the modules beside; python-can itself is imported by the first open.
+Does not live here: what the frames mean.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import select
+import socket
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Self
+
+from hil.errors import LinkError
+from hil.frames import Frame
+
+if TYPE_CHECKING:
+    import can
+
+Origin = Literal["hardware", "kernel", "user"]
+
+FORMS: Final = """\
+  vcan0, can0, …               a SocketCAN interface (also socketcan:can0)
+  slcan:/dev/ttyACM0[@115200]  a serial adapter that speaks the Lawicel protocol
+  udp:43113                    UDP multicast inside this host, by port number
+  inproc:NAME                  inside this process"""
+
+_BUFFER_BYTES: Final = 1 << 20
+_SO_RCVBUFFORCE: Final = 33
+_SO_MEMINFO: Final = 55
+_SK_MEMINFO_DROPS: Final = 8
+_FULL: Final = {errno.EAGAIN, errno.ENOBUFS, None}
+"""Reasons why a frame was not taken that pass by themselves; python-can's "buffer full" has no number."""
+
+
+class Received(NamedTuple):
+    """A frame with the instant of its arrival, in nanoseconds since 1970.
+
+    ``origin`` is the clock behind ``stamp_ns``: the adapter's (``hardware``), the kernel's when it queued
+    the frame (``kernel``), or this program's when it read the frame (``user``).
+    """
+
+    frame: Frame
+    stamp_ns: int
+    origin: Origin
+
+
+class Link:
+    """An open bus. Sends without waiting, receives with a time limit, never hears its own frames."""
+
+    def __init__(self, spec: str, bus: can.BusABC, origin: Origin) -> None:
+        """``spec`` names the link in errors; ``bus`` is owned from here on."""
+        from can import CanError, Message
+
+        self.spec = spec
+        self._bus: can.BusABC | None = bus
+        self._origin: Origin = origin
+        self._full = 0
+        self._unreadable = 0
+        self._name = os.urandom(8).hex()
+        self._message = Message
+        self._error = CanError
+
+    def send(self, frame: Frame) -> None:
+        """Hand ``frame`` to the bus; one that a full queue refuses is counted, never waited for.
+
+        Raises LinkError when the bus is gone.
+        """
+        bus = self._opened()
+        message = self._message(
+            arbitration_id=frame.id,
+            data=frame.data,
+            is_extended_id=frame.is_extended,
+            is_remote_frame=frame.is_remote,
+            is_error_frame=frame.is_error,
+            channel=self._name,
+        )
+        try:
+            bus.send(message, timeout=0 if self._origin == "user" else None)
+        except self._error as error:
+            cause = _cause(error)
+            if (cause and cause.errno) not in _FULL:
+                raise _failure(self.spec, "cannot send", cause, error) from None
+            self._full += 1
+
+    def receive(self, timeout_s: float) -> Received | None:
+        """The next frame, or None when none came within ``timeout_s`` seconds (0: do not wait).
+
+        Raises LinkError when the bus is gone.
+        """
+        bus = self._opened()
+        end = time.monotonic() + timeout_s
+        while True:
+            try:
+                message = bus.recv(0)
+                if message is None:
+                    left = end - time.monotonic()
+                    if left <= 0:
+                        return None
+                    select.select([bus], [], [], left)
+                    continue
+            except self._error as error:
+                cause = _cause(error)
+                if cause is None:
+                    self._unreadable += 1
+                    continue
+                raise _failure(self.spec, "cannot receive", cause, error) from None
+            if message.channel == self._name:
+                continue
+            if message.is_fd or (not message.is_remote_frame and len(message.data) != message.dlc):
+                self._unreadable += 1
+                continue
+            frame = Frame(
+                message.arbitration_id,
+                bytes(message.data),
+                message.is_extended_id,
+                message.is_remote_frame,
+                message.is_error_frame,
+            )
+            return Received(frame, round(message.timestamp * 1e9), self._origin)
+
+    @property
+    def send_failures(self) -> int:
+        """Frames that a full queue or the adapter refused, since the link was opened."""
+        return self._full + getattr(self._bus, "refused", 0)
+
+    def dropped(self) -> int:
+        """Frames that arrived and were lost: the kernel's queue was full, or they were no classic frames."""
+        bus = self._opened()
+        if not hasattr(bus, "socket"):
+            return self._unreadable
+        raw = bus.socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 64)
+        return self._unreadable + int.from_bytes(raw[_SK_MEMINFO_DROPS * 4 :][:4], "little")
+
+    def fileno(self) -> int:
+        """For select: readable when frames came. Then call ``receive(0)`` until it returns None."""
+        return self._opened().fileno()
+
+    def close(self) -> None:
+        """Leave the bus; closing twice is no error."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _opened(self) -> can.BusABC:
+        if self._bus is None:
+            raise LinkError(f"{self.spec}: the link is closed")
+        return self._bus
+
+
+def open_link(spec: str) -> Link:
+    """Open the bus that ``spec`` names; the forms are in ``FORMS``. Raises LinkError."""
+    scheme, colon, rest = spec.partition(":")
+    if not colon:
+        scheme, rest = "socketcan", spec
+    if scheme == "socketcan" and re.fullmatch(r"[\w.-]{1,15}", rest, re.ASCII):
+        return _open_socketcan(spec, rest)
+    if scheme == "slcan" and (match := re.fullmatch(r"(/[^@]+)(?:@(\d{4,7}))?", rest)):
+        return _open_slcan(spec, match[1], int(match[2] or 115200))
+    if scheme == "udp" and rest.isascii() and rest.isdigit() and 1024 <= int(rest) <= 65535:
+        return _open_udp(spec, int(rest))
+    if scheme == "inproc" and rest:
+        from hil.links.in_process import InProcessBus
+
+        return Link(spec, InProcessBus(rest), "user")
+    raise LinkError(f"{spec!r} names no bus. A bus is one of\n{FORMS}")
+
+
+def _open_socketcan(spec: str, interface: str) -> Link:
+    try:
+        socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError as error:
+        raise LinkError(
+            f"{spec}: this kernel has no SocketCAN ({error.strerror}); run the command under "
+            "`hil vcan -- …`, or load the module: sudo modprobe can-raw"
+        ) from None
+    try:
+        socket.if_nametoindex(interface)
+    except OSError:
+        raise LinkError(f"{spec}: there is no interface {interface}; {_creation(interface)}") from None
+    from can.interfaces.socketcan import SocketcanBus
+
+    try:
+        bus = SocketcanBus(interface)
+    except OSError as error:
+        raise _failure(spec, "cannot be opened", error, error) from None
+    down = bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    if down:
+        bus.shutdown()
+        raise _failure(spec, "cannot be opened", OSError(down, os.strerror(down)), None)
+    _size_buffers(bus.socket)
+    return Link(spec, bus, "kernel")
+
+
+def _open_udp(spec: str, port: int) -> Link:
+    from can import CanError
+
+    from hil.links.host_multicast import HostMulticastBus
+
+    try:
+        bus = HostMulticastBus(port)
+    except (CanError, OSError) as error:
+        raise _failure(spec, "cannot be opened", _cause(error), error) from None
+    _size_buffers(bus.socket)
+    return Link(spec, bus, "kernel")
+
+
+def _open_slcan(spec: str, device: str, baud: int) -> Link:
+    from can import CanError
+
+    from hil.links.lawicel import LawicelBus
+
+    try:
+        bus = LawicelBus(device, baud)
+    except (CanError, OSError, ValueError) as error:
+        raise _failure(spec, "cannot be opened", _cause(error), error) from None
+    return Link(spec, bus, "user")
+
+
+def _size_buffers(sock: socket.socket) -> None:
+    """Room for a second of a busy 1 Mbit/s bus; without the right to force it, what the host allows."""
+    sock.setblocking(False)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
+    except PermissionError:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+
+
+def _cause(error: BaseException | None) -> OSError | None:
+    """The operating system's error behind one of python-can's."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno is not None:
+            return error
+        number = getattr(error, "error_code", None)
+        if number is not None:
+            return OSError(number, os.strerror(number))
+        error = error.__cause__
+    return None
+
+
+def _failure(spec: str, what: str, cause: OSError | None, error: BaseException | None) -> LinkError:
+    reason = os.strerror(cause.errno) if cause and cause.errno else str(error)
+    target = spec.rpartition(":")[2]
+    remedy = {
+        errno.ENETDOWN: f"bring it up: sudo ip link set {target} up",
+        errno.ENODEV: f"it is gone or no CAN interface; {_creation(target)}",
+        errno.ENXIO: f"the interface is gone; {_creation(target)}",
+        errno.ENOENT: "is the adapter plugged in? See: ls /dev/serial/by-id",
+        errno.EACCES: "you may not use it: sudo adduser $USER dialout, then log in again",
+        errno.EBUSY: "another program uses it",
+        errno.EAGAIN: "another program uses it",
+        errno.EADDRINUSE: "another program has the port; choose another number",
+        errno.EIO: "the adapter was unplugged, or the other end closed the line",
+    }.get(cause.errno or 0 if cause else 0)
+    return LinkError(f"{spec}: {what}: {reason}" + (f"; {remedy}" if remedy else ""))
+
+
+def _creation(interface: str) -> str:
+    if interface.startswith("vcan"):
+        return (
+            f"make it: sudo ip link add dev {interface} type vcan && sudo ip link set {interface} up; "
+            "or run the command under `hil vcan -- …`"
+        )
+    return (
+        f"plug the adapter in, then: sudo ip link set {interface} up type can bitrate 500000 "
+        "(`ip -br link` lists what is there)"
+    )

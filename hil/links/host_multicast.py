@@ -1,0 +1,52 @@
+"""python-can's UDP multicast bus, kept inside this host and independent of its routes.
+
+python-can joins the group on the interface that the routing table gives, and fails where there is none.
+Here the group is joined on the loopback interface, so that nothing leaves the host and nothing from
+outside is heard. Another program's python-can on the same group and port hears this bus.
+"""
+
+from __future__ import annotations
+
+import socket
+from typing import Final
+
+from can import BusABC, CanProtocol
+from can.interfaces.udp_multicast.bus import SO_TIMESTAMPNS, GeneralPurposeUdpMulticastBus, UdpMulticastBus
+
+GROUP: Final = UdpMulticastBus.DEFAULT_GROUP_IPv4
+_LOOPBACK: Final = "127.0.0.1"
+_IP_MULTICAST_ALL: Final = 49
+
+
+class HostMulticastBus(UdpMulticastBus):
+    """A bus of all programs on this host that opened the same ``port``."""
+
+    def __init__(self, port: int) -> None:
+        """Raises CanInitializationError."""
+        BusABC.__init__(self, GROUP)
+        self._multicast = _LoopbackMulticast(GROUP, port, hop_limit=0)
+        self._can_protocol = CanProtocol.CAN_20
+
+    @property
+    def socket(self) -> socket.socket:
+        """The socket, for its options."""
+        return self._multicast._socket
+
+
+class _LoopbackMulticast(GeneralPurposeUdpMulticastBus):
+    def _create_socket(self, address_family: socket.AddressFamily) -> socket.socket:
+        sock = socket.socket(address_family, socket.SOCK_DGRAM)
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, self.hop_limit)
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(_LOOPBACK))
+            sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+            sock.bind((self.group, self.port))
+            membership = socket.inet_aton(self.group) + socket.inet_aton(_LOOPBACK)
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+        except OSError:
+            sock.close()
+            raise
+        self.timestamp_nanosecond = True
+        return sock
