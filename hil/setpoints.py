@@ -53,11 +53,11 @@ def csv_file(text: str) -> str | None:
     return text.removeprefix("csv:") if text.startswith("csv:") else None
 
 
-def parse_setpoint(text: str, read_text: Callable[[str], str]) -> Setpoint:
-    """Parse ``text``; ``read_text`` gives a CSV file's text by its name. Raises SetpointError."""
+def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
+    """Parse ``text``; ``csv_text`` is the content of the file that ``csv:FILE`` names. Raises SetpointError."""
     file = csv_file(text)
     if file is not None:
-        return _from_csv(text, read_text(file), file)
+        return _from_csv(text, csv_text, file)
     match = _FORM.fullmatch(text)
     if match is None:
         raise SetpointError(f"setpoint {text!r} is none of: {FORMS}")

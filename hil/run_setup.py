@@ -1,0 +1,134 @@
+"""Everything a run is made of, as texts and as objects: rig, controllers, setpoints.
+
+The texts go into the recording; a replay builds the same gateway from them. Reads files; knows no bus.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.controller_file import ControllerFile, check_controller_fits, read_controller
+from hil.errors import DocumentError, SetpointError
+from hil.gateway import Gateway
+from hil.laws import ControlLaw
+from hil.rig import Rig, read_rig
+from hil.setpoints import Setpoint, check_within, csv_file, parse_setpoint
+
+PACKAGE = Path(__file__).parent
+SHIPPED_CONTROLLERS = PACKAGE / "controllers"
+RIG_NAME = "rig.toml"
+DBC_NAME = "arm.dbc"
+
+
+@dataclass(frozen=True)
+class RunSetup:
+    """A checked set of rig, controllers and setpoints. ``texts`` holds every document by its name."""
+
+    rig: Rig
+    controllers: Mapping[str, ControllerFile]
+    setpoints: Mapping[str, Setpoint]
+    texts: Mapping[str, str]
+    """``rig.toml``, ``arm.dbc``, ``controllers/<axis>.json``, ``setpoints/<axis>.csv``."""
+
+    def gateway(self, first_deadline_ns: int) -> Gateway:
+        """A fresh gateway core in state offline."""
+        laws = {name: ControlLaw(c.law, c.sample_time_s) for name, c in self.controllers.items()}
+        return Gateway(self.rig, laws, self.setpoints, first_deadline_ns)
+
+    def fingerprint(self) -> str:
+        """SHA-256 over every text and setpoint: two runs with the same one had the same configuration."""
+        digest = hashlib.sha256()
+        for name, text in sorted(self.texts.items()):
+            digest.update(f"{name}\0{text}\0".encode())
+        for name, setpoint in self.setpoints.items():
+            digest.update(f"{name}\0{setpoint.text}\0".encode())
+        return digest.hexdigest()
+
+
+def load_setup(
+    rig_path: Path | None,
+    controllers: Mapping[str, str],
+    setpoints: Mapping[str, str],
+) -> RunSetup:
+    """Read a rig file (the shipped one without a path) and what it names, with overrides by axis.
+
+    ``controllers`` and ``setpoints`` replace those of the rig file; file names in the rig file are relative
+    to it, in overrides to the working directory. Raises DocumentError or SetpointError.
+    """
+    source = rig_path or PACKAGE / RIG_NAME
+    base = source.parent
+    texts = {RIG_NAME: read_text(source), DBC_NAME: read_text(PACKAGE / "wire" / DBC_NAME)}
+    rig = read_rig(texts[RIG_NAME], str(rig_path or RIG_NAME))
+    for option, given in (("--controller", controllers), ("--setpoint", setpoints)):
+        for name in given:
+            if name not in rig.axes:
+                raise DocumentError(f"{option} {name}=…: no such axis; the rig has {', '.join(rig.axes)}")
+    chosen: dict[str, str] = {}
+    for name, axis in rig.axes.items():
+        if name in controllers:
+            texts[f"controllers/{name}.json"] = read_text(_controller_path(controllers[name], Path()))
+        else:
+            texts[f"controllers/{name}.json"] = read_text(_controller_path(axis.controller, base))
+        chosen[name] = setpoints.get(name, axis.setpoint)
+        file = csv_file(chosen[name])
+        if file is not None:
+            path = Path(file) if name in setpoints else base / file
+            texts[f"setpoints/{name}.csv"] = read_text(path)
+    return setup_from_texts(texts, chosen)
+
+
+def setup_from_texts(texts: Mapping[str, str], setpoints: Mapping[str, str]) -> RunSetup:
+    """Build and cross-check a setup from its documents, as a recording holds them.
+
+    Raises DocumentError or SetpointError.
+    """
+    rig = read_rig(_part(texts, RIG_NAME), RIG_NAME)
+    files: dict[str, ControllerFile] = {}
+    parsed: dict[str, Setpoint] = {}
+    for name, axis in rig.axes.items():
+        source = f"controllers/{name}.json"
+        files[name] = read_controller(_part(texts, source), source)
+        check_controller_fits(files[name], f"{name}: {files[name].name}", rig.loop.period_s, axis.unit)
+        if name not in setpoints:
+            raise SetpointError(f"no setpoint for axis {name}")
+        is_table = csv_file(setpoints[name]) is not None
+        table = _part(texts, f"setpoints/{name}.csv") if is_table else ""
+        parsed[name] = parse_setpoint(setpoints[name], table)
+        check_within(parsed[name], name, axis.min_y, axis.max_y, axis.unit)
+    return RunSetup(rig, files, parsed, dict(texts))
+
+
+def read_text(path: Path) -> str:
+    """The text of a file. Raises DocumentError where it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DocumentError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise DocumentError(f"{path}: is not text") from None
+
+
+def shipped_controllers() -> list[str]:
+    """Names of the controllers in the package."""
+    return sorted(path.stem for path in SHIPPED_CONTROLLERS.glob("*.json"))
+
+
+def _controller_path(name: str, base: Path) -> Path:
+    """A shipped name, or a file relative to ``base``."""
+    if name in shipped_controllers():
+        return SHIPPED_CONTROLLERS / f"{name}.json"
+    path = base / name
+    if not path.exists():
+        raise DocumentError(
+            f"controller {name!r}: no file {path}, and none of the shipped {', '.join(shipped_controllers())}"
+        )
+    return path
+
+
+def _part(texts: Mapping[str, str], name: str) -> str:
+    if name not in texts:
+        raise DocumentError(f"{name} is missing; it is needed to build the gateway")
+    return texts[name]

@@ -1,0 +1,60 @@
+"""The lockstep shell: gateway and simulated boards in one process, in simulated time.
+
+Time jumps to the next deadline of either side; frames cross in no time and in order. The same setup gives the
+same calls on every run.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Protocol
+
+from hil.frames import Frame
+from hil.shells.session import Session
+
+
+class Boards(Protocol):
+    """The far side of the bus: a core like the gateway's own."""
+
+    @property
+    def next_deadline_ns(self) -> int: ...  # noqa: D102
+    def start(self, now_ns: int) -> tuple[Frame, ...]: ...  # noqa: D102
+    def receive(self, frame: Frame, now_ns: int) -> tuple[Frame, ...]: ...  # noqa: D102
+    def on_deadline(self, now_ns: int) -> tuple[Frame, ...]: ...  # noqa: D102
+
+
+class Lockstep:
+    """A bus without wires and the clock of both sides. ``send`` is the gateway's way out."""
+
+    def __init__(self, boards: Boards, start_ns: int) -> None:
+        self._boards = boards
+        self._now_ns = start_ns
+        self._to_boards: deque[Frame] = deque()
+        self.send = self._to_boards.append
+
+    def clock_ns(self) -> int:
+        """Simulated time."""
+        return self._now_ns
+
+    def run(self, session: Session) -> None:
+        """Step until the session's plan is over."""
+        boards, gateway = self._boards, session.gateway
+        self._deliver(session, boards.start(self._now_ns))
+        while not session.plan.is_over:
+            if boards.next_deadline_ns < gateway.next_deadline_ns:
+                self._now_ns = boards.next_deadline_ns
+                self._deliver(session, boards.on_deadline(self._now_ns))
+            else:
+                self._now_ns = gateway.next_deadline_ns
+                session.on_deadline(self._now_ns)
+                self._deliver(session, ())
+
+    def _deliver(self, session: Session, to_gateway: tuple[Frame, ...]) -> None:
+        """Carry frames both ways until the bus is silent."""
+        now_ns, waiting, boards = self._now_ns, self._to_boards, self._boards
+        while True:
+            for frame in to_gateway:
+                session.receive(frame, now_ns, now_ns)
+            if not waiting:
+                return
+            to_gateway = boards.receive(waiting.popleft(), now_ns)
