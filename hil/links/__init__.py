@@ -81,7 +81,7 @@ class Link:
             channel=self._name,
         )
         try:
-            bus.send(message, timeout=0 if self._origin == "user" else None)
+            bus.send(message)
         except self._error as error:
             cause = _cause(error)
             if (cause and cause.errno) not in _FULL:

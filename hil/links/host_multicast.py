@@ -25,7 +25,7 @@ class HostMulticastBus(UdpMulticastBus):
         """Raises CanInitializationError."""
         BusABC.__init__(self, GROUP)
         self._multicast = _LoopbackMulticast(GROUP, port, hop_limit=0)
-        self._can_protocol = CanProtocol.CAN_20
+        self._can_protocol = CanProtocol.CAN_FD  # delivered, so that the link can count and refuse them
 
     @property
     def socket(self) -> socket.socket:

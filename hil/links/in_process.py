@@ -22,6 +22,10 @@ class InProcessBus(VirtualBus):
             self.queue: _SignallingQueue = _SignallingQueue(_QUEUE_FRAMES)
             self.channel.append(self.queue)
 
+    def send(self, msg: Message, timeout: float | None = None) -> None:
+        """Give ``msg`` to every other link; a full queue refuses it at once."""
+        super().send(msg, timeout=0)
+
     def fileno(self) -> int:
         """Readable while frames wait."""
         return self.queue.descriptor

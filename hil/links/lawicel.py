@@ -24,6 +24,7 @@ _DONE: Final = b"\r"
 _REFUSED: Final = b"\a"
 _LONGEST_LINE: Final = 64
 _ANSWER_S: Final = 0.25
+_QUIET_S: Final = 0.03
 _BOOT_S: Final = 3.0
 """An Arduino starts anew when its port is opened and answers after about 2 s."""
 
@@ -53,7 +54,7 @@ class LawicelBus(slcanBus):
             self.serialPortOrig.set_low_latency_mode(True)
         self.serialPortOrig.reset_input_buffer()
         end = time.monotonic() + _BOOT_S
-        while self._command("C") is None:  # refused when closed already
+        while self._command("C") is None or self._read_lines(_QUIET_S):  # until answered, and quiet
             if time.monotonic() > end:
                 raise CanInitializationError(
                     "the device does not answer; has it slcan firmware, and is the baud rate right?"

@@ -1,0 +1,100 @@
+"""Two serial adapters on one CAN bus, as pseudo-terminals that speak the Lawicel protocol."""
+
+import os
+import select
+import threading
+import tty
+from collections import deque
+from typing import Self
+
+
+class Adapter:
+    def __init__(self) -> None:
+        self.line, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self.line, False)
+        self.device = os.ttyname(slave)
+        self.slave = slave
+        self.on_bus = False
+        self.commands: list[bytes] = []
+        self.refused: set[bytes] = set()
+        self.deaf_to = 0
+        self.incoming = b""
+        self.outgoing: deque[bytes] = deque()
+
+    def answer(self, line: bytes) -> bytes:
+        """CR, BELL, or z and CR, as the CAN232 manual has it; on or off the bus as the command says."""
+        self.commands.append(line)
+        name = line[:1]
+        if line in self.refused or (name in b"tTrR" and not self.on_bus):
+            return b"\a"
+        if name in (b"O", b"C"):
+            allowed = self.on_bus != (name == b"O")
+            self.on_bus = name == b"O"
+            return b"\r" if allowed else b"\a"
+        return b"z\r" if name in b"tTrR" else b"\r"
+
+
+class TwoAdapters:
+    """Run by a thread of their own until the ``with`` ends."""
+
+    def __init__(self) -> None:
+        self.one, self.other = self.both = (Adapter(), Adapter())
+        self._stop, self._stopping = os.pipe()
+
+    def __enter__(self) -> Self:
+        self.resume()
+        return self
+
+    def resume(self) -> None:
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def pause(self) -> None:
+        os.write(self._stopping, b".")
+        self._thread.join()
+        os.read(self._stop, 1)
+
+    def __exit__(self, *_: object) -> None:
+        self.pause()
+        for adapter in self.both:
+            for descriptor in (adapter.line, adapter.slave):
+                if descriptor >= 0:
+                    os.close(descriptor)
+        os.close(self._stop)
+        os.close(self._stopping)
+
+    def unplug(self, adapter: Adapter) -> None:
+        self.pause()
+        os.close(adapter.line)
+        os.close(adapter.slave)
+        adapter.line = adapter.slave = -1
+        self.resume()
+
+    def _serve(self) -> None:
+        while True:
+            lines = [adapter.line for adapter in self.both if adapter.line >= 0]
+            full = [adapter.line for adapter in self.both if adapter.line >= 0 and adapter.outgoing]
+            readable, writable, _ = select.select([self._stop, *lines], full, [])
+            if self._stop in readable:
+                return
+            for adapter in self.both:
+                if adapter.line in readable:
+                    self._take(adapter)
+                if adapter.line in writable:
+                    data = b"".join(adapter.outgoing)
+                    adapter.outgoing.clear()
+                    if left := data[os.write(adapter.line, data) :]:
+                        adapter.outgoing.append(left)
+
+    def _take(self, adapter: Adapter) -> None:
+        *lines, adapter.incoming = (adapter.incoming + os.read(adapter.line, 65536)).split(b"\r")
+        peer = self.other if adapter is self.one else self.one
+        for line in lines:
+            if adapter.deaf_to:
+                adapter.deaf_to -= 1
+                continue
+            answer = adapter.answer(line)
+            adapter.outgoing.append(answer)
+            if answer == b"z\r" and peer.on_bus:
+                peer.outgoing.append(line + b"\r")

@@ -1,0 +1,145 @@
+"""What every link promises. A test class of a link inherits this and gives the fixture ``pair``."""
+
+import select
+import threading
+import time
+
+import pytest
+
+from hil.errors import LinkError
+from hil.frames import Frame
+from hil.links import Link
+
+Pair = tuple[Link, Link]
+
+DATA = bytes(range(0xF8, 0x100))
+KINDS = [
+    *(Frame(0x123, DATA[:length]) for length in range(9)),
+    *(Frame(0x1ABCDEF0, DATA[:length], is_extended=True) for length in range(9)),
+    Frame(0x000),
+    Frame(0x7FF, b"\x00"),
+    Frame(0x000, b"\r\a", is_extended=True),
+    Frame(0x1FFFFFFF, DATA, is_extended=True),
+    Frame(0x321, is_remote=True),
+    Frame(0x321, is_extended=True, is_remote=True),
+]
+
+
+class LinkContract:
+    def test_frames_of_every_kind_arrive_unaltered_and_in_order(self, pair: Pair) -> None:
+        sender, receiver = pair
+        for frame in KINDS:
+            sender.send(frame)
+        assert [arrived(receiver) for _ in KINDS] == KINDS
+        assert receiver.receive(0) is None
+        assert receiver.dropped() == 0
+        assert sender.send_failures == 0
+
+    def test_both_directions(self, pair: Pair) -> None:
+        one, other = pair
+        other.send(Frame(0x001, b"from other"[:8]))
+        one.send(Frame(0x002, b"from one"[:8]))
+        assert arrived(one) == Frame(0x001, b"from oth")
+        assert arrived(other) == Frame(0x002, b"from one")
+
+    def test_own_frames_are_not_heard(self, pair: Pair) -> None:
+        sender, receiver = pair
+        for frame in KINDS:
+            sender.send(frame)
+        for _ in KINDS:
+            arrived(receiver)
+        receiver.send(Frame(0x7E5))
+        assert arrived(sender) == Frame(0x7E5), "the first frame heard is the other's"
+        assert sender.receive(0) is None
+
+    def test_what_a_burst_loses_is_counted(self, pair: Pair) -> None:
+        sender, receiver = pair
+        count = 5000
+        for number in range(count):
+            sender.send(Frame(0x100, number.to_bytes(8, "little")))
+        numbers = []
+        while (received := receiver.receive(0.3)) is not None:
+            numbers.append(int.from_bytes(received.frame.data, "little"))
+        assert numbers == sorted(set(numbers))
+        assert len(numbers) >= 100
+        assert len(numbers) + sender.send_failures + receiver.dropped() == count
+
+    def test_receive_gives_up_in_time(self, pair: Pair) -> None:
+        _, receiver = pair
+        start = time.monotonic()
+        assert receiver.receive(0) is None
+        at_once = time.monotonic()
+        assert receiver.receive(0.05) is None
+        end = time.monotonic()
+        assert at_once - start < 0.05
+        assert 0.05 <= end - at_once < 0.5
+
+    def test_receive_wakes_when_a_frame_arrives(self, pair: Pair) -> None:
+        near, far = pair
+        rounds = 100
+
+        def echo() -> None:
+            for _ in range(rounds):
+                far.send(arrived(far))
+
+        thread = threading.Thread(target=echo)
+        thread.start()
+        times_s = []
+        for number in range(rounds):
+            start = time.perf_counter()
+            near.send(Frame(number))
+            assert arrived(near) == Frame(number)
+            times_s.append(time.perf_counter() - start)
+        thread.join()
+        assert sorted(times_s)[rounds // 2] < 0.005, "half a round trip is no longer than one tick of a poll"
+
+    def test_stamps_lie_within_the_call_and_say_their_clock(self, pair: Pair) -> None:
+        sender, receiver = pair
+        start = time.time_ns()
+        sender.send(Frame(0x10))
+        received = receiver.receive(1)
+        end = time.time_ns()
+        assert received is not None
+        a_double_holds_ns = 1000
+        assert start - a_double_holds_ns <= received.stamp_ns <= end + a_double_holds_ns
+        assert received.origin == self.origin
+
+    origin: str
+
+    def test_its_descriptor_is_readable_while_frames_wait(self, pair: Pair) -> None:
+        sender, receiver = pair
+        assert not select.select([receiver], [], [], 0)[0]
+        sender.send(Frame(0x10))
+        assert select.select([receiver], [], [], 1)[0]
+        arrived(receiver)
+        assert not select.select([receiver], [], [], 0)[0]
+
+    def test_closing_twice_is_no_error_and_use_after_it_is(self, pair: Pair) -> None:
+        link, _ = pair
+        link.close()
+        link.close()
+        for use in (lambda: link.send(Frame(1)), lambda: link.receive(0), link.dropped, link.fileno):
+            with pytest.raises(LinkError, match="closed"):
+                use()
+
+    def test_a_with_statement_closes(self, pair: Pair) -> None:
+        with pair[0] as link:
+            link.send(Frame(1))
+        with pytest.raises(LinkError, match="closed"):
+            link.send(Frame(1))
+
+
+class ErrorFramesToo:
+    """For the links that can carry error frames."""
+
+    def test_error_frames_are_delivered_as_such(self, pair: Pair) -> None:
+        sender, receiver = pair
+        bus_off = Frame(0x040, bytes(8), is_error=True)
+        sender.send(bus_off)
+        assert arrived(receiver) == bus_off
+
+
+def arrived(link: Link) -> Frame:
+    received = link.receive(5)
+    assert received is not None, "no frame within 5 s"
+    return received.frame
