@@ -1,0 +1,87 @@
+"""The recorder process: blocks from stdin, the recording to stdout, the reason of a failure to stderr.
+
+It ends at an end block or at the end of its input: however the gateway ended, the file is whole. Signals that
+end the gateway are not for it.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+
+import msgspec
+
+from hil.recording.handover import BATCH, BLOCK_HEADER, HEADER, LOSSLESS, RunHeader
+from hil.recording.writer import McapFile
+
+INPUT, OUTPUT = 0, 1
+READ_BYTES = 1024 * 1024
+SILENCE_S = 0.5
+"""In real time, after so long without a block what there is gets written: the loop may be stuck."""
+
+GATEWAY_DIED = {"recorder": {"end": "the gateway ended without closing the recording"}}
+
+
+def main() -> None:
+    """Record until the end of the input; exit status 1 when the file cannot be written."""
+    for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(signum, signal.SIG_IGN)
+    try:
+        record(flush_in_silence=sys.argv[1] != LOSSLESS)
+    except OSError as error:
+        sys.exit(error.strerror)
+
+
+def record(flush_in_silence: bool) -> None:
+    """Read blocks until there are no more. Raises OSError when the file cannot be written."""
+    block = _next_block(INPUT)
+    if block is None:
+        return
+    assert block[0] == HEADER
+    file = McapFile(_write, msgspec.msgpack.decode(block[1], type=RunHeader))
+    while True:
+        if flush_in_silence and not select.select([INPUT], [], [], SILENCE_S)[0]:
+            file.flush()
+        block = _next_block(INPUT)
+        if block is None:
+            file.finish(GATEWAY_DIED)
+            return
+        kind, content = block
+        if kind == BATCH:
+            file.add_batch(content)
+        else:
+            file.finish(msgspec.msgpack.decode(content, type=dict[str, dict[str, str]]))
+            return
+
+
+def _next_block(source: int) -> tuple[bytes, bytes] | None:
+    """Kind and content of the next whole block; None at the end of the input."""
+    header = _read(source, BLOCK_HEADER.size)
+    if len(header) < BLOCK_HEADER.size:
+        return None
+    kind, size = BLOCK_HEADER.unpack(header)
+    content = _read(source, size)
+    return (kind, content) if len(content) == size else None
+
+
+def _read(source: int, size: int) -> bytes:
+    """``size`` bytes, or fewer at the end of the input."""
+    content = os.read(source, min(size, READ_BYTES))
+    while 0 < len(content) < size:
+        more = os.read(source, min(size - len(content), READ_BYTES))
+        if not more:
+            break
+        content += more
+    return content
+
+
+def _write(data: bytes) -> None:
+    rest = memoryview(data)
+    while rest:
+        rest = rest[os.write(OUTPUT, rest) :]
+
+
+if __name__ == "__main__":
+    main()

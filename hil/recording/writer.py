@@ -1,0 +1,236 @@
+"""An MCAP file from batches of ready message records: chunks, indexes, statistics, footer.
+
+``mcap.writer.Writer`` takes one message at a time, 7 µs each, most of it for an index entry made of objects.
+Here a batch goes into its chunk as it is, and a chunk is indexed in one pass. Every other record is written
+by mcap's own classes. Format: https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+
+from hil import __version__
+from hil.recording import schemas
+from hil.recording.handover import RunHeader, index_messages, log_time_of_first
+
+CHUNK_BYTES = 64 * 1024
+CHUNK_SPAN_NS = 400_000_000
+"""A chunk ends with the batch that makes it so large, or that begins so much later than the chunk."""
+
+_MESSAGE_INDEX_HEADER = struct.Struct("<BQHI")
+_FOOTER_UP_TO_CRC = struct.Struct("<BQQQ")
+
+
+class McapFile:
+    """Writes one recording through ``write``, which takes bytes and keeps their order."""
+
+    def __init__(self, write: Callable[[bytes], object], header: RunHeader) -> None:
+        self._write = write
+        self._position = 0
+        self._compressor = zstandard.ZstdCompressor()
+        self._chunk_indexes: list[ChunkIndex] = []
+        self._attachment_indexes: list[AttachmentIndex] = []
+        self._metadata_indexes: list[MetadataIndex] = []
+        self._counts: Counter[int] = Counter()
+        self._schemas, self._channels = _described(schemas.channels(header.axes, header.stamp_origin))
+
+        self._put(MCAP0_MAGIC)
+        self._put(_bytes_of([Header("ros2", f"pneumatic-hil {__version__}")]))
+        for name, (media_type, content) in header.attachments.items():
+            self._add_attachment(Attachment(0, 0, name, media_type, content))
+        own = {
+            "epoch_offset_ns": str(header.epoch_offset_ns),
+            "bus": header.bus,
+            "stamp_origin": header.stamp_origin,
+            "configuration_sha256": configuration_sha256(header.attachments),
+        }
+        self._add_metadata({"recording": own, **header.metadata})
+
+        self._chunk = bytearray(_bytes_of([*self._schemas, *self._channels]))
+        """The first chunk opens with schemas and channels: no message may come before its channel."""
+        self._first_message = len(self._chunk)
+        self._chunk_began_ns = 0
+
+    @property
+    def message_count(self) -> int:
+        """Messages in written chunks."""
+        return self._counts.total()
+
+    def add_batch(self, records: bytes) -> None:
+        """Append whole message records; the chunk is written when it is large or long enough."""
+        began_ns = log_time_of_first(records)
+        if len(self._chunk) == self._first_message:
+            self._chunk_began_ns = began_ns
+        self._chunk += records
+        if len(self._chunk) >= CHUNK_BYTES or began_ns - self._chunk_began_ns >= CHUNK_SPAN_NS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the chunk in progress, if it has messages, and its message indexes."""
+        if len(self._chunk) == self._first_message:
+            return
+        body = bytes(self._chunk)
+        index = index_messages(body, self._first_message)
+        chunk = Chunk(
+            compression="zstd",
+            data=self._compressor.compress(body),
+            message_start_time=min(min(pairs[::2]) for pairs in index.values()),
+            message_end_time=max(max(pairs[::2]) for pairs in index.values()),
+            uncompressed_crc=zlib.crc32(body),
+            uncompressed_size=len(body),
+        )
+        record = _bytes_of([chunk])
+        index_offsets: dict[int, int] = {}
+        index_records = bytearray()
+        for channel, pairs in index.items():
+            index_offsets[channel] = self._position + len(record) + len(index_records)
+            index_records += _message_index(channel, pairs)
+            self._counts[channel] += len(pairs) // 2
+        self._chunk_indexes.append(
+            ChunkIndex(
+                chunk_length=len(record),
+                chunk_start_offset=self._position,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=len(index_records),
+                message_index_offsets=index_offsets,
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=len(body),
+            )
+        )
+        self._put(record + index_records)
+        self._chunk.clear()
+        self._first_message = 0
+
+    def finish(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
+        """Write the last chunk, ``metadata`` (name to entries), the summary and the footer."""
+        self.flush()
+        self._add_metadata(metadata)
+        self._put(_bytes_of([DataEnd(data_section_crc=0)]))
+        groups: list[tuple[Opcode, list[McapRecord]]] = [
+            (Opcode.SCHEMA, [*self._schemas]),
+            (Opcode.CHANNEL, [*self._channels]),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, [*self._chunk_indexes]),
+            (Opcode.ATTACHMENT_INDEX, [*self._attachment_indexes]),
+            (Opcode.METADATA_INDEX, [*self._metadata_indexes]),
+        ]
+        start = self._position
+        summary = bytearray()
+        offsets: list[SummaryOffset] = []
+        for opcode, records in groups:
+            group = _bytes_of(records)
+            if group:
+                offsets.append(SummaryOffset(opcode, start + len(summary), len(group)))
+            summary += group
+        offset_start = start + len(summary)
+        summary += _bytes_of(offsets)
+        footer_up_to_crc = _FOOTER_UP_TO_CRC.pack(Opcode.FOOTER, 20, start, offset_start)
+        crc = zlib.crc32(summary + footer_up_to_crc)
+        self._put(summary + _bytes_of([Footer(start, offset_start, crc)]) + MCAP0_MAGIC)
+
+    def _put(self, data: bytes | bytearray) -> None:
+        self._write(bytes(data))
+        self._position += len(data)
+
+    def _add_attachment(self, attachment: Attachment) -> None:
+        record = _bytes_of([attachment])
+        self._attachment_indexes.append(
+            AttachmentIndex(
+                offset=self._position,
+                length=len(record),
+                log_time=attachment.log_time,
+                create_time=attachment.create_time,
+                data_size=len(attachment.data),
+                name=attachment.name,
+                media_type=attachment.media_type,
+            )
+        )
+        self._put(record)
+
+    def _add_metadata(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
+        for name, entries in metadata.items():
+            record = _bytes_of([Metadata(name, dict(entries))])
+            self._metadata_indexes.append(MetadataIndex(self._position, len(record), name))
+            self._put(record)
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=len(self._attachment_indexes),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(sorted(self._counts.items())),
+            chunk_count=len(self._chunk_indexes),
+            message_count=self.message_count,
+            message_end_time=max((index.message_end_time for index in self._chunk_indexes), default=0),
+            message_start_time=min((index.message_start_time for index in self._chunk_indexes), default=0),
+            metadata_count=len(self._metadata_indexes),
+            schema_count=len(self._schemas),
+        )
+
+
+def configuration_sha256(attachments: Mapping[str, tuple[str, bytes]]) -> str:
+    """One hash of all attachments, whatever their order: of each name's and content's own hash, by name."""
+    total = hashlib.sha256()
+    for name, (_, content) in sorted(attachments.items()):
+        total.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(content).digest())
+    return total.hexdigest()
+
+
+def _described(channels: tuple[schemas.Channel, ...]) -> tuple[list[Schema], list[Channel]]:
+    """Schema and channel records; ids count from 1."""
+    types = list(dict.fromkeys(channel.type for channel in channels))
+    return (
+        [
+            Schema(id=place, data=kind.definition.encode(), encoding="ros2msg", name=kind.name)
+            for place, kind in enumerate(types, start=1)
+        ],
+        [
+            Channel(
+                id=place,
+                topic=channel.topic,
+                message_encoding="cdr",
+                metadata={"offered_qos_profiles": "[]", **channel.metadata},
+                schema_id=types.index(channel.type) + 1,
+            )
+            for place, channel in enumerate(channels, start=1)
+        ],
+    )
+
+
+def _message_index(channel: int, pairs: list[int]) -> bytes:
+    size = 8 * len(pairs)
+    header = _MESSAGE_INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size)
+    return header + struct.pack(f"<{len(pairs)}Q", *pairs)
+
+
+def _bytes_of(records: Iterable[McapRecord]) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
