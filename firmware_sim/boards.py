@@ -164,17 +164,17 @@ class DacBoard(CanopenSlave[DacFaults]):
             self._schedule()
         if ErrorCode.HEARTBEAT in self._errors:
             return frames
-        volts = self._converter.volts
-        self._pending_v = (volts(first), volts(second), volts(third))
+        convert = self._converter.volts
+        volts = (convert(first), convert(second), convert(third))
         if self._applies_at_once:
-            self._apply_pending(now_ns)
+            self._set(volts, now_ns)
+        else:
+            self._pending_v = volts
         return frames
 
     def _on_sync(self, now_ns: int) -> Frames:
-        if self._pending_v is not None:
-            self._apply_pending(now_ns)
-        elif self.faults is not None:
-            self._set(self._set_v, now_ns)
+        pending_v, self._pending_v = self._pending_v, None
+        self._set(self._set_v if pending_v is None else pending_v, now_ns)
         return ()
 
     def _on_time(self, now_ns: int) -> Frames:
@@ -190,12 +190,6 @@ class DacBoard(CanopenSlave[DacFaults]):
 
     def _schedule(self) -> None:
         self.next_deadline_ns = min(self._heartbeat_due_ns, self._command_due_ns, self._gateway_due_ns)
-
-    def _apply_pending(self, now_ns: int) -> None:
-        pending_v = self._pending_v
-        if pending_v is not None:
-            self._pending_v = None
-            self._set(pending_v, now_ns)
 
     def _centre(self, now_ns: int) -> None:
         """Centre the valves and wait for the first command, whatever its counter."""

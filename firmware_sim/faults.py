@@ -36,4 +36,4 @@ class DacFaults(BoardFaults):
     """Faults of the valve board. Channels count from 1, as in the rig file."""
 
     frozen_v: dict[int, float] = field(default_factory=dict)
-    """Voltage that a channel gives whatever the board commands, from the next SYNC on."""
+    """Voltage that a channel gives whatever is commanded; shows, and mends, by the next SYNC."""

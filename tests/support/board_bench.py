@@ -1,0 +1,102 @@
+"""A rig of simulated boards on a bench: stepped by hand, with a plant that reads what a test wrote."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import Any
+
+import msgspec
+
+from firmware_sim.codec import encode_values
+from firmware_sim.simulated_rig import SimulatedRig
+from hil.frames import Frame
+from hil.rig import Rig, read_rig
+
+RIG: Rig = read_rig((files("hil") / "rig.toml").read_text(), "rig.toml")
+PERIOD_NS = RIG.loop.period_ns
+HEARTBEAT_NS = 100_000_000
+CENTRED = (5.0, 5.0, 5.0)
+MS = 1_000_000
+
+SYNC = Frame(0x080)
+START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+ADC_BOOT, DAC_BOOT = Frame(0x710, b"\x00"), Frame(0x720, b"\x00")
+
+
+class HandPlant:
+    """Reads what a test wrote, and notes what it was given."""
+
+    def __init__(self) -> None:
+        self.volts: list[float] = [5.0, 5.0, 5.0]
+        self.held: list[tuple[int, tuple[float, ...]]] = []
+
+    def advance(self, duration_ns: int, valve_v: Sequence[float]) -> None:
+        self.held.append((duration_ns, tuple(valve_v)))
+
+    def potentiometer_v(self) -> Sequence[float]:
+        return self.volts
+
+
+def nmt(command: int, node: int = 0) -> Frame:
+    return Frame(0x000, bytes((command, node)))
+
+
+def command(volts: Sequence[float], counter: int) -> Frame:
+    first, second, third = (int(v * 32768 / 10) for v in volts)
+    return Frame(0x220, encode_values((first, second, third), counter))
+
+
+def gateway_heartbeat() -> Frame:
+    return Frame(0x701, b"\x05")
+
+
+def emergency(frame: Frame) -> tuple[int, int, int]:
+    """Node, error code, error register."""
+    code, register = struct.unpack_from("<HB", frame.data)
+    return frame.id - 0x080, code, register
+
+
+def with_dac(**changes: Any) -> Rig:
+    return msgspec.structs.replace(RIG, dac=msgspec.structs.replace(RIG.dac, **changes))
+
+
+class Bench:
+    """A rig that is powered at 1 s, and a clock that only a test moves."""
+
+    def __init__(self, rig: Rig = RIG, **options: Any) -> None:
+        self.plant = HandPlant()
+        self.now_ns = 1_000_000_000
+        self.rig = SimulatedRig(rig, self.plant, **options)
+        self.booted = self.rig.start(self.now_ns)
+        self.counter = -1
+
+    @property
+    def valve_v(self) -> tuple[float, ...]:
+        return self.rig.dac.valve_v
+
+    def give(self, frame: Frame) -> list[Frame]:
+        return list(self.rig.receive(frame, self.now_ns))
+
+    def wait(self, duration_ns: int) -> list[Frame]:
+        """Pass the time as a shell does: every deadline is met when it comes."""
+        end_ns, frames = self.now_ns + duration_ns, []
+        while self.rig.next_deadline_ns <= end_ns:
+            self.now_ns = self.rig.next_deadline_ns
+            frames += self.rig.on_deadline(self.now_ns)
+        self.now_ns = end_ns
+        return frames
+
+    def started(self) -> Bench:
+        self.give(nmt(START))
+        return self
+
+    def command(self, *volts: float) -> list[Frame]:
+        self.counter += 1
+        return self.give(command(volts, self.counter & 0xFF))
+
+    def period(self, *volts: float) -> list[Frame]:
+        """SYNC, then a command, then the rest of the period; what was sent besides heartbeats and TPDO1."""
+        frames = self.give(SYNC) + self.command(*volts) + self.wait(PERIOD_NS)
+        return [frame for frame in frames if frame.id not in (0x710, 0x720, 0x190)]
