@@ -18,10 +18,12 @@ LOSSLESS, REAL_TIME = "lossless", "real-time"
 MESSAGE_OPCODE = 5
 MESSAGE_HEADER = struct.Struct("<11sIQQ")
 """A message record up to its data: :func:`message_prefix`; sequence; log time; publish time."""
+SEQUENCE_MASK = 0xFFFF_FFFF
+"""Sequences count all messages of a run from 1; after this, 71 days at 700 a second, follows 0."""
+RECORD_HEADER = struct.Struct("<BQ")
+"""Opcode and length, which stand before every record."""
 _INDEXED = struct.Struct("<BQHIQ")
 """A message record up to its log time."""
-_RECORD_HEADER_SIZE = 9
-"""Opcode and length, which stand before every record."""
 
 
 class RunHeader(msgspec.Struct, frozen=True):
@@ -43,7 +45,7 @@ class RunHeader(msgspec.Struct, frozen=True):
 
 def message_prefix(channel: int, payload_size: int) -> bytes:
     """Opcode, length and channel id of a message record."""
-    length = MESSAGE_HEADER.size - _RECORD_HEADER_SIZE + payload_size
+    length = MESSAGE_HEADER.size - RECORD_HEADER.size + payload_size
     return struct.pack("<BQH", MESSAGE_OPCODE, length, channel)
 
 
@@ -62,7 +64,7 @@ def index_messages(records: bytes | bytearray | memoryview, start: int = 0) -> d
                 index[channel] += (log_time, start)
             else:
                 index[channel] = [log_time, start]
-        start += _RECORD_HEADER_SIZE + length
+        start += RECORD_HEADER.size + length
     return index
 
 

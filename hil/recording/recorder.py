@@ -22,11 +22,14 @@ from hil.recording.handover import (
     END,
     HEADER,
     MESSAGE_HEADER,
+    SEQUENCE_MASK,
     RunHeader,
     message_prefix,
 )
 from hil.recording.pipe import RecorderPipe
 from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, layout_of
+
+__all__ = ["LINK_FAILED", "Recorder", "RecorderReport", "RunHeader"]
 
 LINK_FAILED = "link failed: "
 """How a link's failure stands among the operator's commands: this, then the reason."""
@@ -35,7 +38,6 @@ BATCH_BYTES = 32 * 1024
 BATCH_AGE_NS = 200_000_000
 
 _SECOND_NS = 1_000_000_000
-_SEQUENCE_MASK = 0xFFFF_FFFF
 _NO_FRAME_ID = cdr_string("")
 
 
@@ -87,7 +89,7 @@ class Recorder:
         self._sequence += 1
         seconds, nanoseconds = divmod(stamp_ns, _SECOND_NS)
         self._batch += self._pack_frame(
-            self._received, self._sequence & _SEQUENCE_MASK, now_ns + self._epoch_offset_ns, stamp_ns,
+            self._received, self._sequence & SEQUENCE_MASK, now_ns + self._epoch_offset_ns, stamp_ns,
             CDR_HEADER, seconds, nanoseconds, self._bus,
             identifier, is_remote, is_extended, is_error, len(data), data,
         )  # fmt: skip
@@ -99,7 +101,7 @@ class Recorder:
         log_time = now_ns + self._epoch_offset_ns
         seconds, nanoseconds = divmod(log_time, _SECOND_NS)
         self._batch += self._pack_frame(
-            self._sent, self._sequence & _SEQUENCE_MASK, log_time, log_time,
+            self._sent, self._sequence & SEQUENCE_MASK, log_time, log_time,
             CDR_HEADER, seconds, nanoseconds, self._bus,
             identifier, is_remote, is_extended, is_error, len(data), data,
         )  # fmt: skip
@@ -110,7 +112,7 @@ class Recorder:
         self._now_ns = now_ns
         log_time = now_ns + self._epoch_offset_ns
         self._batch += self._pack_deadline(
-            self._deadlines, self._sequence & _SEQUENCE_MASK, log_time, log_time,
+            self._deadlines, self._sequence & SEQUENCE_MASK, log_time, log_time,
             CDR_HEADER, deadline_ns, now_ns,
         )  # fmt: skip
 
@@ -131,12 +133,12 @@ class Recorder:
         for prefix, signals in zip(self._axes, axes, strict=True):
             sequence += 1
             self._batch += self._pack_axis(
-                prefix, sequence & _SEQUENCE_MASK, log_time, log_time,
+                prefix, sequence & SEQUENCE_MASK, log_time, log_time,
                 CDR_HEADER, seconds, nanoseconds, _NO_FRAME_ID, *signals, state, fresh,
             )  # fmt: skip
         self._sequence = sequence = sequence + 1
         self._batch += self._pack_cycle(
-            self._cycles, sequence & _SEQUENCE_MASK, log_time, log_time,
+            self._cycles, sequence & SEQUENCE_MASK, log_time, log_time,
             CDR_HEADER, number, deadline_ns, wake_ns, receive_ns, computed_ns, sent_ns, state, fresh,
         )  # fmt: skip
 
@@ -180,7 +182,7 @@ class Recorder:
         self._sequence += 1
         log_time = now_ns + self._epoch_offset_ns
         prefix = message_prefix(channel, len(payload))
-        self._batch += MESSAGE_HEADER.pack(prefix, self._sequence & _SEQUENCE_MASK, log_time, log_time)
+        self._batch += MESSAGE_HEADER.pack(prefix, self._sequence & SEQUENCE_MASK, log_time, log_time)
         self._batch += payload
 
     def _hand_over_batch(self) -> None:

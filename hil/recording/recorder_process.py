@@ -14,7 +14,7 @@ import sys
 import msgspec
 
 from hil.recording.handover import BATCH, BLOCK_HEADER, HEADER, LOSSLESS, RunHeader
-from hil.recording.writer import McapFile
+from hil.recording.mcap_writer import McapWriter
 
 INPUT, OUTPUT = 0, 1
 READ_BYTES = 1024 * 1024
@@ -40,7 +40,7 @@ def record(flush_in_silence: bool) -> None:
     if block is None:
         return
     assert block[0] == HEADER
-    file = McapFile(_write, msgspec.msgpack.decode(block[1], type=RunHeader))
+    file = McapWriter(_write, msgspec.msgpack.decode(block[1], type=RunHeader))
     while True:
         if flush_in_silence and not select.select([INPUT], [], [], SILENCE_S)[0]:
             file.flush()

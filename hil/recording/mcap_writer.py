@@ -7,7 +7,6 @@ by mcap's own classes. Format: https://mcap.dev/spec.
 
 from __future__ import annotations
 
-import hashlib
 import struct
 import zlib
 from collections import Counter
@@ -46,7 +45,7 @@ _MESSAGE_INDEX_HEADER = struct.Struct("<BQHI")
 _FOOTER_UP_TO_CRC = struct.Struct("<BQQQ")
 
 
-class McapFile:
+class McapWriter:
     """Writes one recording through ``write``, which takes bytes and keeps their order."""
 
     def __init__(self, write: Callable[[bytes], object], header: RunHeader) -> None:
@@ -67,7 +66,6 @@ class McapFile:
             "epoch_offset_ns": str(header.epoch_offset_ns),
             "bus": header.bus,
             "stamp_origin": header.stamp_origin,
-            "configuration_sha256": configuration_sha256(header.attachments),
         }
         self._add_metadata({"recording": own, **header.metadata})
 
@@ -192,14 +190,6 @@ class McapFile:
             metadata_count=len(self._metadata_indexes),
             schema_count=len(self._schemas),
         )
-
-
-def configuration_sha256(attachments: Mapping[str, tuple[str, bytes]]) -> str:
-    """One hash of all attachments, whatever their order: of each name's and content's own hash, by name."""
-    total = hashlib.sha256()
-    for name, (_, content) in sorted(attachments.items()):
-        total.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(content).digest())
-    return total.hexdigest()
 
 
 def _described(channels: tuple[schemas.Channel, ...]) -> tuple[list[Schema], list[Channel]]:

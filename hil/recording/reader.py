@@ -1,0 +1,208 @@
+"""Reads a recording: the core's calls for replay, signals and timing as numpy arrays, events, configuration.
+
+All ``_ns`` are monotonic, as the loop saw them, unless said otherwise.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.errors import RecordingError
+from hil.events import Event, Severity
+from hil.frames import Frame
+from hil.recording.handover import MESSAGE_HEADER, RECORD_HEADER, SEQUENCE_MASK
+from hil.recording.mcap_reader import MESSAGE_FIELDS, McapContents, Rows
+from hil.recording.schemas import AXIS_TOPIC, CDR_HEADER, layout_of
+
+_SECOND_NS = 1_000_000_000
+
+
+class FrameReceived(NamedTuple):
+    """The core was given ``frame``, which the link had stamped ``stamp_ns`` (epoch)."""
+
+    now_ns: int
+    frame: Frame
+    stamp_ns: int
+
+
+class FrameSent(NamedTuple):
+    """The core had answered with ``frame``, which left at ``now_ns``."""
+
+    now_ns: int
+    frame: Frame
+
+
+class DeadlineCalled(NamedTuple):
+    """The core's ``on_deadline`` was called."""
+
+    now_ns: int
+    deadline_ns: int
+
+
+class Operated(NamedTuple):
+    """The core was given an operator's command, or told of a link failure (``recorder.LINK_FAILED``)."""
+
+    now_ns: int
+    command: str
+
+
+Call = FrameReceived | FrameSent | DeadlineCalled | Operated
+
+
+class Recording:
+    """One run. Raises RecordingError when ``path`` is no recording, or is damaged other than at its end."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._contents = contents = McapContents(path)
+        self.attachments = contents.attachments
+        self.metadata = contents.metadata
+        self.complete = contents.is_complete
+        """Whether the file was ended properly; if not, it holds everything up to the last whole chunk."""
+        own = self.metadata.get("recording", {})
+        for key in ("epoch_offset_ns", "bus"):
+            if key not in own:
+                raise RecordingError(
+                    f"{path}: not the recording of a run: metadata recording.{key} is missing"
+                )
+        self.epoch_offset_ns = int(own["epoch_offset_ns"])
+        """Epoch time minus monotonic time."""
+        self.bus = own["bus"]
+
+    @property
+    def axes(self) -> dict[str, str]:
+        """Axis names and units, in the rig file's order."""
+        return {
+            topic.removeprefix(AXIS_TOPIC): channel.metadata.get("unit", "")
+            for topic, channel in self._contents.channels.items()
+            if topic.startswith(AXIS_TOPIC)
+        }
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages by topic."""
+        return self._contents.counts
+
+    @property
+    def state_names(self) -> dict[int, str]:
+        """Names of the life cycle's states, as they were when this was recorded."""
+        definition = self._contents.definition("/gateway/cycle")
+        constants = re.findall(r"^uint8 (\w+)=(\d+)$", definition, flags=re.MULTILINE)
+        return {int(value): name.lower() for name, value in constants}
+
+    def axis(self, name: str) -> Rows:
+        """The periods of an axis.
+
+        Columns: ``time_ns`` (SYNC, the sampling instant); ``setpoint``, ``position``, ``error`` in the axis'
+        unit; ``output_v``, ``command_v``, ``potentiometer_v``; ``state``, ``fresh``.
+        """
+        rows = self._contents.rows(AXIS_TOPIC + name, "")
+        time_ns = rows["header.stamp.sec"].astype(np.int64) * _SECOND_NS + rows["header.stamp.nanosec"]
+        own = [
+            column for column in rows.dtype.names or () if "." not in column and column not in MESSAGE_FIELDS
+        ]
+        return _table({"time_ns": time_ns - self.epoch_offset_ns} | {column: rows[column] for column in own})
+
+    def timing(self) -> Rows:
+        """The periods of the loop.
+
+        Columns: ``number``, ``deadline_ns``, ``wake_ns``, ``receive_ns`` (0: no sample came),
+        ``computed_ns``, ``sent_ns``, ``state``, ``fresh``.
+        """
+        rows = self._contents.rows("/gateway/cycle", "")
+        instants = ("deadline", "wake", "receive", "computed", "sent")
+        return _table(
+            {"number": rows["number"]}
+            | {f"{instant}_ns": rows[instant] for instant in instants}
+            | {"state": rows["state"], "fresh": rows["fresh"]}
+        )
+
+    def events(self) -> list[tuple[int, Event]]:
+        """What was reported, with its time in ns."""
+        channel = self._contents.channel("/gateway/events").id
+        return [(message.now_ns, _event(message.payload)) for message in self._messages({channel})]
+
+    def calls(self) -> Iterator[Call]:
+        """The core's calls and answers in their order.
+
+        Raises RecordingError where messages are missing: what was dropped while recording cannot be replayed.
+        """
+        frame, deadline = self._struct("/can/rx", self.bus), self._struct("/gateway/deadline", "")
+        received, sent, deadlines, operated = (
+            self._contents.channel(topic).id
+            for topic in ("/can/rx", "/can/tx", "/gateway/deadline", "/gateway/operator")
+        )
+        expected = 1
+        for channel, sequence, now_ns, stamp_ns, payload in self._messages(None):
+            if sequence != expected:
+                missing = (sequence - expected) & SEQUENCE_MASK
+                raise RecordingError(
+                    f"{self.path}: {missing} messages before {now_ns} ns were dropped while recording; "
+                    "from there on the calls of the core are not known"
+                )
+            expected = (sequence + 1) & SEQUENCE_MASK
+            if channel == received:
+                yield FrameReceived(now_ns, _frame(frame.unpack(payload)), stamp_ns)
+            elif channel == sent:
+                yield FrameSent(now_ns, _frame(frame.unpack(payload)))
+            elif channel == deadlines:
+                _, deadline_ns, called_ns = deadline.unpack(payload)
+                yield DeadlineCalled(called_ns, deadline_ns)
+            elif channel == operated:
+                yield Operated(now_ns, _string(payload, len(CDR_HEADER))[0])
+
+    def _messages(self, channels: set[int] | None) -> Iterator[_Message]:
+        """Messages of ``channels`` (None: of all) in the order recorded."""
+        for body, offsets in self._contents.chunks():
+            chosen = offsets.keys() if channels is None else channels & offsets.keys()
+            places = sorted((offset, channel) for channel in chosen for offset in offsets[channel].tolist())
+            for offset, channel in places:
+                prefix, sequence, log_time, stamp_ns = MESSAGE_HEADER.unpack_from(body, offset)
+                end = offset + RECORD_HEADER.size + RECORD_HEADER.unpack(prefix[: RECORD_HEADER.size])[1]
+                payload = body[offset + MESSAGE_HEADER.size : end]
+                yield _Message(channel, sequence, log_time - self.epoch_offset_ns, stamp_ns, payload)
+
+    def _struct(self, topic: str, frame_id: str) -> struct.Struct:
+        return struct.Struct("<" + layout_of(self._contents.definition(topic), frame_id).format)
+
+
+class _Message(NamedTuple):
+    channel: int
+    sequence: int
+    now_ns: int
+    stamp_ns: int
+    """Publish time, epoch."""
+    payload: bytes
+
+
+def _frame(values: tuple[Any, ...]) -> Frame:
+    *_, identifier, is_remote, is_extended, is_error, length, data = values
+    return Frame(identifier, data[:length], is_extended, is_remote, is_error)
+
+
+def _event(payload: bytes) -> Event:
+    """From a ``rcl_interfaces/msg/Log``: stamp, level, then name and text, each aligned to 4 bytes."""
+    source, end = _string(payload, 16)
+    text, _ = _string(payload, end + -end % 4)
+    return Event(Severity(payload[12]), source, text)
+
+
+def _string(payload: bytes, start: int) -> tuple[str, int]:
+    """The CDR string at ``start``, and where it ends."""
+    end = start + 4 + int.from_bytes(payload[start : start + 4], "little")
+    return payload[start + 4 : end - 1].decode(), end
+
+
+def _table(columns: Mapping[str, npt.NDArray[Any]]) -> Rows:
+    kinds = [(name, column.dtype) for name, column in columns.items()]
+    table = np.empty(len(next(iter(columns.values()))), kinds)
+    for name, column in columns.items():
+        table[name] = column
+    return table
