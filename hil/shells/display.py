@@ -11,6 +11,7 @@ import json
 import socket
 import subprocess
 import sys
+from collections.abc import Sequence
 
 from hil.events import Cycle, Event
 from hil.gateway import Gateway
@@ -23,7 +24,7 @@ CLOSE_TIMEOUT_S = 2.0
 class Display:
     """An audience in a process of its own. Close it before printing anything else."""
 
-    def __init__(self, axes: list[tuple[str, str]], duration_s: float) -> None:
+    def __init__(self, axes: Sequence[tuple[str, str]], duration_s: float) -> None:
         """``axes`` are (name, unit)."""
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:

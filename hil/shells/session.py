@@ -66,6 +66,11 @@ class Session:
         self._recorder.operated(LINK_FAILED + reason, now_ns)
         self._answer(self.gateway.link_failed(reason), now_ns)
 
+    def note(self, event: Event) -> None:
+        """Record and show something that the shell has to say."""
+        self._recorder.event(event, self._clock_ns())
+        self._audience.event(event)
+
     def _answer(self, output: Output, now_ns: int) -> None:
         frames, events, cycle = output
         recorder = self._recorder
