@@ -59,7 +59,8 @@ class Link:
 
         self.spec = spec
         self._bus: can.BusABC | None = bus
-        self._origin: Origin = origin
+        self.stamp_origin: Origin = origin
+        """Of every frame that this link receives."""
         self._full = 0
         self._unreadable = 0
         self._name = os.urandom(8).hex()
@@ -122,7 +123,7 @@ class Link:
                 message.is_remote_frame,
                 message.is_error_frame,
             )
-            return Received(frame, round(message.timestamp * 1e9), self._origin)
+            return Received(frame, round(message.timestamp * 1e9), self.stamp_origin)
 
     @property
     def send_failures(self) -> int:
