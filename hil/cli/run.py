@@ -233,8 +233,8 @@ def _tell(plan: RunPlan, report: RecorderReport) -> int:
         console.print(f"no summary: {error}", style="yellow")
     if plan.ending is Ending.NO_BOARDS:
         console.print(
-            "The boards did not come up: no heartbeat from both and no good sample. Is the bus right (--bus), are "
-            "the boards powered, the bit rate the same, the node ids 0x10 and 0x20?",
+            "The boards did not come up: no heartbeat from both and no good sample. Is the bus right "
+            "(--bus), are the boards powered, the bit rate the same, the node ids 0x10 and 0x20?",
             style="red",
         )
     elif status:

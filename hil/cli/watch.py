@@ -39,7 +39,7 @@ def main(file_descriptor: int) -> None:
             if "event" in message:
                 severity, source, text = message["event"]
                 line = Text(f"{source}: {text}", style=STYLES[Severity(severity)])
-                live.console.print(line)
+                live.console.print(line, soft_wrap=True)
             elif "state" in message:
                 if console.is_terminal:
                     live.update(_status(message, axes), refresh=True)

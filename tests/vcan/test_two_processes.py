@@ -1,0 +1,172 @@
+"""Gateway and boards as two processes on real SocketCAN, watched by candump: the whole loop in real time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.events import Severity
+from hil.recording.reader import DeadlineCalled, FrameReceived, Recording
+from hil.shells.replay import verify
+from hil.wire import codec
+
+pytestmark = pytest.mark.vcan
+
+PERIOD_S = 0.0112
+STALL_S = 0.3
+"""What a busy machine may add to any reaction; the exact limits are asserted in stepped time elsewhere."""
+CANDUMP_LINE = re.compile(r"\((\d+\.\d+)\) \w+ ([0-9A-F]+)#([0-9A-F]*)")
+START_TIMEOUT_S = 60
+
+
+def hil(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "hil.cli", *arguments]
+
+
+@contextlib.contextmanager
+def process(command: list[str], **options: object) -> Iterator[subprocess.Popen[str]]:
+    """A process that does not outlive the test."""
+    with subprocess.Popen(command, text=True, **options) as started:  # type: ignore[call-overload]
+        try:
+            yield started
+        finally:
+            started.kill()
+
+
+@pytest.fixture
+def boards() -> Iterator[subprocess.Popen[str]]:
+    with process([sys.executable, "-m", "firmware_sim", "--bus", "vcan0"], stdout=subprocess.PIPE) as started:
+        assert started.stdout is not None
+        assert "boards" in started.stdout.readline(), "firmware-sim says when it is on the bus"
+        yield started
+
+
+class Candump:
+    """candump on vcan0 with kernel time stamps; ``until`` waits for a frame."""
+
+    def __init__(self, started: subprocess.Popen[str]) -> None:
+        self._stdout = started.stdout
+        self.frames: list[tuple[float, int, bytes]] = []
+
+    def until(self, wanted: Callable[[int, bytes], bool]) -> float:
+        """Read on until a frame is wanted; returns its time."""
+        assert self._stdout is not None
+        for line in self._stdout:
+            match = CANDUMP_LINE.match(line)
+            assert match, line
+            frame = (float(match[1]), int(match[2], 16), bytes.fromhex(match[3]))
+            self.frames.append(frame)
+            if wanted(*frame[1:]):
+                return frame[0]
+        raise AssertionError("candump ended before the frame came")
+
+    def times(self, identifier: int) -> np.ndarray:
+        return np.array([time for time, frame_id, _ in self.frames if frame_id == identifier])
+
+
+@pytest.fixture
+def candump() -> Iterator[Candump]:
+    with process(["candump", "-L", "vcan0"], stdout=subprocess.PIPE, bufsize=1) as started:
+        yield Candump(started)
+
+
+def is_moving(identifier: int, data: bytes) -> bool:
+    """Whether a frame is a command with a valve off centre: the gateway is running."""
+    return identifier == codec.RPDO1_DAC and any(
+        abs(volts - 5.0) > 0.1 for volts in codec.decode_rpdo1_dac(data)[:3]
+    )
+
+
+def test_ten_seconds_of_three_axes(boards: subprocess.Popen[str], candump: Candump, tmp_path: Path) -> None:
+    recording_path = tmp_path / "run.mcap"
+    run = subprocess.Popen(hil("run", "--bus", "vcan0", "--duration", "10", "--record", str(recording_path)))
+    candump.until(is_moving)
+    assert run.wait(timeout=START_TIMEOUT_S) == 0
+    subprocess.run(["cansend", "vcan0", "7FF#"], check=True)  # the end, for candump
+    candump.until(lambda identifier, _data: identifier == 0x7FF)
+
+    recording = Recording(recording_path)
+    missed = int(recording.metadata["ending"]["missed periods"])
+    for identifier in (codec.SYNC, codec.TPDO1_ADC, codec.RPDO1_DAC):
+        times = candump.times(identifier)
+        span = times[-1] - times[0]
+        assert (len(times) - 1 + missed) / span == pytest.approx(1 / PERIOD_S, rel=0.01), "89.3 Hz"
+        assert np.median(np.diff(times)) == pytest.approx(PERIOD_S, rel=0.05)
+
+    assert recording.complete
+    assert recording.metadata["ending"]["reason"] == "completed"
+    assert recording.metadata["ending"]["frames dropped by the kernel"] == "0"
+    assert recording.metadata["ending"]["frames not sent"] == "0"
+    assert not [key for key in recording.metadata["recorder"] if key.startswith("dropped")]
+    for axis, size in (("vertical", 0.1), ("horizontal", 0.05), ("rotation", 0.2)):
+        rows = recording.axis(axis)
+        stepped = rows[rows["setpoint"] == size]
+        since_s = (stepped["time_ns"] - stepped["time_ns"][0]) * 1e-9
+        assert np.all(np.abs(stepped["position"][since_s > 1.5] / size - 1.0) < 0.02), axis
+        assert stepped["position"].max() / size < 1.03, axis
+    report = verify(recording)
+    assert report.frames_compared >= 3 * 10 / PERIOD_S * 0.6
+
+
+def test_killed_gateway_leaves_centred_valves(
+    boards: subprocess.Popen[str], candump: Candump, tmp_path: Path
+) -> None:
+    """The DAC board tells by EMCY that its watchdog has centred the valves, within the watchdog's time."""
+    path = tmp_path / "killed.mcap"
+    setpoints = ["--setpoint", "vertical=sine:0.1@0.1/1"]
+    with process(hil("run", "--bus", "vcan0", "--duration", "60", "--record", str(path), *setpoints)) as run:
+        candump.until(is_moving)
+        os.kill(run.pid, signal.SIGKILL)
+        told_s = candump.until(
+            lambda identifier, data: (
+                identifier == codec.EMCY_DAC and codec.decode_emcy_dac(data).error_code != 0
+            )
+        )
+    after_s = told_s - candump.times(codec.RPDO1_DAC)[-1]
+    assert 5 * PERIOD_S <= after_s < 6 * PERIOD_S + STALL_S
+    assert boards.poll() is None
+
+
+def test_killed_boards_fault_the_gateway(
+    boards: subprocess.Popen[str], candump: Candump, tmp_path: Path
+) -> None:
+    path = tmp_path / "lost.mcap"
+    with process(hil("run", "--bus", "vcan0", "--duration", "60", "--record", str(path))) as run:
+        candump.until(is_moving)
+        os.kill(boards.pid, signal.SIGKILL)
+        assert run.wait(timeout=START_TIMEOUT_S) == 1
+    recording = Recording(path)
+    faults = [(now_ns, event) for now_ns, event in recording.events() if event.severity is Severity.FATAL]
+    assert len(faults) == 1
+    now_ns, fault = faults[0]
+    assert fault.source == "adc"
+    assert "no good sample for 3 periods, limit 3 (rig: adc.stale_after_periods)" in fault.text
+    last_sample_ns = max(
+        call.now_ns
+        for call in recording.calls()
+        if isinstance(call, FrameReceived) and call.frame.id == codec.TPDO1_ADC
+    )
+    assert (now_ns - last_sample_ns) * 1e-9 <= 4 * PERIOD_S + STALL_S
+    last = recording.axis("vertical")[-1]
+    assert last["command_v"] != 5.0, "the last period still ran"
+    calls = [call for call in recording.calls() if isinstance(call, DeadlineCalled)]
+    assert calls[-1].now_ns > now_ns, "the gateway went on to send centred commands"
+    centred = [data for _, identifier, data in candump_rest(candump) if identifier == codec.RPDO1_DAC]
+    assert codec.decode_rpdo1_dac(centred[-1])[:3] == (5.0, 5.0, 5.0)
+    assert verify(recording).frames_compared > 0
+
+
+def candump_rest(candump: Candump) -> list[tuple[float, int, bytes]]:
+    """Everything up to now."""
+    subprocess.run(["cansend", "vcan0", "7FF#"], check=True)
+    candump.until(lambda identifier, _data: identifier == 0x7FF)
+    return candump.frames
