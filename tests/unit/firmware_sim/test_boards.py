@@ -179,6 +179,8 @@ class TestCommands:
         bench = Bench(with_dac(apply="at once")).started()
         bench.give(Frame(0x220, encode_values((16384 + 7, 16384 + 8, 32767), 0)))
         assert bench.valve_v == (5.0, 5.0 + 10 / 4096, 10 * 4095 / 4096)
+        bench.give(Frame(0x220, encode_values((0, 7, 8), 1)))
+        assert bench.valve_v == (0.0, 0.0, 10 / 4096)
 
     def test_not_operational_no_command_is_taken(self) -> None:
         bench = Bench(with_dac(apply="at once"))
@@ -331,6 +333,21 @@ class TestGatewayHeartbeat:
         assert told == [0x8250, 0x8130]
         assert bench.give(gateway_heartbeat()) == []
         assert [emergency(frame)[1] for frame in bench.command(6.25, 5.0, 5.0)] == [0]
+
+    def test_its_time_is_kept_when_nothing_else_wakes_the_board(self) -> None:
+        bench = Bench(self.rig, heartbeat_ns=10**10).started()
+        bench.give(gateway_heartbeat())
+        assert bench.wait(27 * PERIOD_NS - 1) == []
+        assert [emergency(frame)[1] for frame in bench.wait(1)] == [0x8130]
+
+    @pytest.mark.parametrize("other", [Frame(0x701), Frame(0x701, b"\x05\x05"), Frame(0x702, b"\x05")])
+    def test_other_frames_are_no_heartbeat_of_the_gateway(self, other: Frame) -> None:
+        bench = Bench(self.rig).started()
+        bench.give(gateway_heartbeat())
+        bench.wait(26 * PERIOD_NS)
+        bench.give(other)
+        told = [emergency(frame)[1] for frame in bench.wait(PERIOD_NS) if frame.id == 0x0A0]
+        assert told == [0x8130]
 
     def test_a_gateway_that_sends_none_is_not_waited_for(self) -> None:
         bench = Bench(self.rig).started()

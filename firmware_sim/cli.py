@@ -1,0 +1,145 @@
+"""The command ``firmware-sim``: both boards and a plant on a bus, in real time, until a signal ends them."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import os
+import signal
+import sys
+from importlib.resources import files
+from pathlib import Path
+from time import monotonic_ns
+from typing import TYPE_CHECKING, Protocol
+
+from firmware_sim.linear_plant import LinearPlant
+from firmware_sim.simulated_rig import SimulatedRig
+from hil.errors import DocumentError, EnvironmentLackError, HilError
+from hil.frames import Frame
+from hil.rig import Rig, read_rig
+
+if TYPE_CHECKING:
+    from hil.links import Received
+
+PTY = "pty"
+
+
+class Bus(Protocol):
+    """What the boards hang on: a ``hil.links.Link`` or a ``SerialDevice``."""
+
+    def send(self, frame: Frame) -> None: ...  # noqa: D102
+    def receive(self, timeout_s: float) -> Received | None: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run ``firmware-sim`` with ``argv``; returns the exit status: 2 wrong input, 1 failed while running."""
+    options = _parser().parse_args(argv)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _exit_cleanly)
+    try:
+        if options.parent_pid is not None:
+            _die_with(options.parent_pid)
+        rig = _read_rig(options.rig)
+        bus, spec = _open(options.bus)
+    except HilError as error:
+        return _complain(error, 2)
+    with contextlib.closing(bus):
+        try:
+            print(_description(rig, spec), flush=True)
+            simulate(SimulatedRig(rig, LinearPlant(rig)), bus)
+        except HilError as error:
+            return _complain(error, 1)
+    return 0
+
+
+def simulate(rig: SimulatedRig, bus: Bus) -> None:
+    """Power the boards on and run them on CLOCK_MONOTONIC until something is raised.
+
+    Raises LinkError when the bus is gone, and what a failing plant raises: the boards fall silent.
+    """
+    gc.freeze()
+    frames = rig.start(monotonic_ns())
+    while True:
+        for frame in frames:
+            bus.send(frame)
+        received = bus.receive(max(rig.next_deadline_ns - monotonic_ns(), 0) * 1e-9)
+        now_ns = monotonic_ns()
+        frames = rig.on_deadline(now_ns) if received is None else rig.receive(received.frame, now_ns)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="firmware-sim",
+        description="Simulate the valve and potentiometer boards, and the arm behind them, on a bus.",
+    )
+    parser.add_argument(
+        "--bus",
+        required=True,
+        help="vcan0, can0, …: SocketCAN; udp:PORT: multicast inside this host; slcan:DEVICE: through a "
+        "serial adapter; pty: make a serial device with the boards behind it, and say its name",
+    )
+    parser.add_argument("--rig", type=Path, metavar="FILE", help="rig file (the shipped rig.toml)")
+    parser.add_argument(
+        "--parent-pid", type=int, metavar="PID", help="end when this process, which must be the parent, ends"
+    )
+    return parser
+
+
+def _read_rig(path: Path | None) -> Rig:
+    if path is None:
+        return read_rig((files("hil") / "rig.toml").read_text(encoding="utf-8"), "rig.toml")
+    try:
+        return read_rig(path.read_text(encoding="utf-8"), str(path))
+    except OSError as error:
+        raise DocumentError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise DocumentError(f"{path}: is not text") from None
+
+
+def _open(spec: str) -> tuple[Bus, str]:
+    """The bus, and what others join it with."""
+    if spec == PTY:
+        from firmware_sim.serial_device import SerialDevice
+
+        device = SerialDevice()
+        return device, f"slcan:{device.path}"
+    from hil.links import open_link
+
+    return open_link(spec), spec
+
+
+def _description(rig: Rig, spec: str) -> str:
+    axes = ", ".join(rig.axes)
+    return (
+        f"boards 0x10 (ADC) and 0x20 (DAC), 12 bit; commands apply {rig.dac.apply}, "
+        f"watchdog {rig.dac.watchdog_periods} periods of {rig.loop.period_s:g} s\n"
+        f"plant: the linear model, eq. (15), for {axes}\n"
+        f"join with: hil run --bus {spec}"
+    )
+
+
+def _die_with(parent_pid: int) -> None:
+    """Have the kernel kill this process when its parent ends, however that happens."""
+    import ctypes
+
+    set_parent_death_signal = 1  # PR_SET_PDEATHSIG of linux/prctl.h
+    ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent_pid:
+        raise EnvironmentLackError(
+            f"--parent-pid {parent_pid}: the parent is process {os.getppid()}; it has ended, or is another"
+        )
+
+
+def _exit_cleanly(*_signal: object) -> None:
+    raise SystemExit(0)
+
+
+def _complain(error: HilError, status: int) -> int:
+    print(f"firmware-sim: {error}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,187 @@
+"""``firmware-sim`` as people and ``hil run`` start it: a process on a bus, ended by signals."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from firmware_sim import cli
+from firmware_sim.codec import decode_values
+from hil.errors import HilError, LinkError
+from hil.frames import Frame
+from hil.links import Link, open_link
+
+COMMAND = [sys.executable, "-m", "firmware_sim.cli"]
+LIMIT_S = 20
+
+
+@pytest.fixture
+def handlers_kept() -> Iterator[None]:
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.getsignal(number) for number in numbers]
+    yield
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return int(probe.getsockname()[1])
+
+
+def started(bus: str) -> tuple[subprocess.Popen[str], str]:
+    """The process once it is ready, and the bus that it says to join."""
+    process = subprocess.Popen([*COMMAND, "--bus", bus], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if joined := re.fullmatch(r"join with: hil run --bus (\S+)\n", line):
+            return process, joined[1]
+    raise AssertionError(f"firmware-sim ended with {process.wait()}")
+
+
+def next_frame(link: Link, identifier: int) -> Frame:
+    while (received := link.receive(LIMIT_S)) is not None:
+        if received.frame.id == identifier:
+            return received.frame
+    raise AssertionError(f"no {identifier:03X} within {LIMIT_S} s")
+
+
+def exchange_a_sample(link: Link) -> None:
+    link.send(Frame(0x000, b"\x01\x00"))
+    link.send(Frame(0x080))
+    sample = next_frame(link, 0x190)
+    assert decode_values(sample.data, protected=True) == ((16384, 16384, 16384), 0)
+    while next_frame(link, 0x720).data != b"\x05":
+        pass
+
+
+@pytest.mark.parametrize(("kind", "ending"), [("udp", signal.SIGTERM), ("pty", signal.SIGINT)])
+def test_boards_answer_on_the_bus_and_a_signal_ends_them(
+    kind: str, ending: signal.Signals, port: int
+) -> None:
+    process, spec = started(f"udp:{port}" if kind == "udp" else "pty")
+    with process, open_link(spec) as link:
+        exchange_a_sample(link)
+        process.send_signal(ending)
+        assert process.wait(LIMIT_S) == 0
+
+
+def test_a_host_on_the_serial_device_sees_it_go() -> None:
+    process, spec = started("pty")
+    with process, open_link(spec) as link:
+        process.kill()
+        process.wait(LIMIT_S)
+        with pytest.raises(LinkError, match="closed the line"):
+            next_frame(link, 0x7FF)
+
+
+def test_it_dies_with_the_parent_that_asked_for_it_even_by_kill_9(port: int) -> None:
+    program = (
+        "import os, subprocess, sys\n"
+        f"child = subprocess.Popen([*{COMMAND!r}, '--bus', 'udp:{port}', '--parent-pid', str(os.getpid())],"
+        " stdout=subprocess.PIPE)\n"
+        "child.stdout.readline()\n"
+        "print(child.pid, flush=True)\n"
+        "child.wait()\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    with parent:
+        assert parent.stdout is not None
+        child = os.pidfd_open(int(parent.stdout.readline()))
+        assert not select.select([child], [], [], 0)[0]
+        parent.kill()
+        assert select.select([child], [], [], LIMIT_S)[0]
+        os.close(child)
+
+
+def test_a_parent_that_is_not_the_parent_is_refused(
+    handlers_kept: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["--bus", "pty", "--parent-pid", "1"]) == 2
+    assert f"the parent is process {os.getppid()}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--bus", "nonsense:1"], "names no bus"),
+        (["--bus", "pty", "--rig", "absent.toml"], "absent.toml: cannot be read: No such file"),
+        (
+            ["--bus", "pty", "--rig", "broken.toml"],
+            "broken.toml: loop.period_s: 7.0: expected `float` <= 1.0",
+        ),
+        (["--bus", "pty", "--rig", "binary.toml"], "binary.toml: is not text"),
+    ],
+)
+def test_wrong_input_is_told_without_a_traceback(
+    arguments: list[str],
+    complaint: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    handlers_kept: None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shipped = (Path(cli.__file__).parents[1] / "hil" / "rig.toml").read_text()
+    Path("broken.toml").write_text(shipped.replace("period_s = 0.0112", "period_s = 7.0"))
+    Path("binary.toml").write_bytes(b"\xff\xfe")
+    assert cli.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("firmware-sim: ")
+    assert complaint in error
+
+
+class DivergingPlant:
+    def __init__(self, rig: object) -> None:
+        pass
+
+    def advance(self, duration_ns: int, valve_v: Sequence[float]) -> None:
+        raise HilError("vertical: position 3.2 m exceeds 0.15 m")
+
+    def potentiometer_v(self) -> Sequence[float]:
+        return [5.0, 5.0, 5.0]
+
+
+def test_a_failing_plant_ends_it_with_its_message_and_both_boards_fall_silent(
+    monkeypatch: pytest.MonkeyPatch, handlers_kept: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "LinearPlant", DivergingPlant)
+    with open_link("inproc:diverging") as link:
+        assert cli.main(["--bus", "inproc:diverging"]) == 1
+        heard = []
+        while (received := link.receive(0)) is not None:
+            heard.append(received.frame)
+    assert capsys.readouterr().err == "firmware-sim: vertical: position 3.2 m exceeds 0.15 m\n"
+    assert heard == [Frame(0x710, b"\x00"), Frame(0x720, b"\x00")]
+
+
+def test_the_rig_file_sets_the_boards_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, handlers_kept: None
+) -> None:
+    path = tmp_path / "rig.toml"
+    shipped = (Path(cli.__file__).parents[1] / "hil" / "rig.toml").read_text()
+    path.write_text(shipped.replace("watchdog_periods = 5", "watchdog_periods = 7"))
+    seen = []
+    monkeypatch.setattr(cli, "simulate", lambda rig, bus: seen.append(rig))
+    assert cli.main(["--bus", "inproc:set up", "--rig", str(path)]) == 0
+    assert seen[0].dac._watchdog_ns == 7 * 11_200_000
+
+
+def test_starting_imports_neither_numpy_nor_scipy() -> None:
+    program = (
+        "import sys, firmware_sim.cli\n"
+        "heavy = {'numpy', 'scipy', 'control', 'matplotlib', 'can', 'rich'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

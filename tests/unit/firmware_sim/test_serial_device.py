@@ -1,0 +1,115 @@
+"""The pseudo-terminal: real bytes through pyserial and python-can's own slcan interface."""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+from collections.abc import Iterator
+
+import can
+import pytest
+import serial
+from can.interfaces.slcan import slcanBus
+
+from firmware_sim.serial_device import SerialDevice
+from hil.frames import Frame
+
+
+@pytest.fixture
+def device() -> Iterator[SerialDevice]:
+    device = SerialDevice()
+    yield device
+    device.close()
+
+
+@pytest.fixture
+def bus(device: SerialDevice) -> Iterator[can.BusABC]:
+    with slcanBus(device.path, bitrate=500_000, sleep_after_open=0) as bus:
+        assert device.receive(0) is None  # takes the commands that opened it
+        bus.flush()
+        yield bus
+
+
+FRAMES = [
+    Frame(0x190, bytes(range(8))),
+    Frame(0x000, b"\x01\x00"),
+    Frame(0x080),
+    Frame(0x1ABCDEF0, b"\r\a\r", is_extended=True),
+]
+
+
+def message(frame: Frame) -> can.Message:
+    return can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=frame.is_extended)
+
+
+@pytest.mark.parametrize("frame", FRAMES, ids=str)
+def test_frames_from_the_host_reach_the_bus(device: SerialDevice, bus: can.BusABC, frame: Frame) -> None:
+    bus.send(message(frame))
+    received = device.receive(5)
+    assert received is not None
+    assert received.frame == frame
+
+
+@pytest.mark.parametrize("frame", FRAMES, ids=str)
+def test_frames_from_the_bus_reach_the_host(device: SerialDevice, bus: can.BusABC, frame: Frame) -> None:
+    device.send(frame)
+    heard = bus.recv(5)
+    assert heard is not None
+    assert (heard.arbitration_id, bytes(heard.data), heard.is_extended_id) == frame[:3]
+
+
+def test_bursts_arrive_whole_and_in_order(device: SerialDevice, bus: can.BusABC) -> None:
+    for _ in range(5):
+        burst = [Frame(number, bytes(4)) for number in range(100)]
+        for frame in burst:
+            bus.send(message(frame))
+        received = [device.receive(5) for _ in burst]
+        assert [r.frame for r in received if r] == burst
+
+
+def test_the_version_is_answered(device: SerialDevice) -> None:
+    with serial.Serial(device.path, timeout=5) as host:
+        host.write(b"\r\rV\rN\r")
+        assert device.receive(0) is None
+        assert host.read(14) == b"\r\rV1013\rNSIM1\r"
+
+
+def test_hosts_may_come_and_go(device: SerialDevice) -> None:
+    for number in range(3):
+        with serial.Serial(device.path, timeout=5) as host:
+            host.write(b"C\rS6\rO\rt%03X0\r" % number)
+            received = device.receive(5)
+            assert received is not None
+            assert received.frame == Frame(number)
+
+
+def test_a_host_that_never_reads_costs_frames_and_is_told(device: SerialDevice) -> None:
+    with serial.Serial(device.path, timeout=5) as host:
+        host.write(b"S6\rO\r")
+        assert device.receive(0) is None
+        sent = 2000
+        for number in range(sent):
+            device.send(Frame(number & 0x7FF, bytes(8)))
+        lines: list[bytes] = []
+        while device.receive(0) is None and select.select([host], [], [], 0)[0]:
+            lines += host.read(host.in_waiting).split(b"\r")
+        host.write(b"F\r")
+        assert device.receive(0) is None
+        assert host.read(4) == b"F01\r"
+    frames = b"\r".join(lines).replace(b"\r", b"").count(b"t")
+    assert 100 < frames < sent
+
+
+def test_receive_gives_up_when_the_time_is_over(device: SerialDevice) -> None:
+    assert device.receive(0.01) is None
+
+
+def test_closing_hangs_the_hosts_line_up() -> None:
+    device = SerialDevice()
+    host = os.open(device.path, os.O_RDWR | os.O_NOCTTY)
+    device.close()
+    assert os.read(host, 1) == b""
+    with pytest.raises(termios.error):
+        termios.tcgetattr(host)
+    os.close(host)
