@@ -1,4 +1,38 @@
 """Controller design: H-infinity loop shaping, fixed structures, searchers, reports.
 
-From a plant model to a controller file that the daemon runs. Never imported by ``hil``.
+From a plant model to a controller file that the daemon runs. Never imported by ``hil``. Importing this
+package imports nothing else; scipy, control and matplotlib are imported where they are used.
+
+The way through it, as one program::
+
+    from design.plant import Sampling, paper_plant
+    from design.structures import STRUCTURES
+    from design.synthesis import synthesise
+    from design.weight_selection import select_weight
+
+    plant = paper_plant()                             # or plant.read_plant(text, source)
+    sampling = Sampling(0.0112, delay_samples=1)      # None: the continuous loop, as in the paper
+    weight = select_weight(plant, sampling=sampling)  # eqs. (8), (9)
+    design = synthesise(plant, weight.weight, STRUCTURES["pid"], sampling=sampling)  # eqs. (13), (14)
+    law = design.structure.law(design.values, sampling.period_s)                     # what the daemon runs
+
+=====================  ==============================================================================
+polynomials, peaks     batched polynomials; the largest value of a ratio over all frequencies, exactly
+plant                  plant documents, zero-order hold and delay, the bilinear plane and z
+margins                stability margin ε, gain and phase margin, crossover, bandwidth, disturbance peak
+nu_gap                 chordal distance, Vinnicombe's ν-gap
+loop_shaping           Appendices A and B, McFarlane-Glover synthesis by Riccati equations, one plant
+central_controller     the same, batched, by interpolation
+structures             controller and weight structures, boxes, codings, and the laws they become
+responses, loops       batched step responses; everything that can be read off a batch of loops
+specifications         eqs. (8), (9): limits on readings, each with its name and its violation
+search                 ask, tell, stop, and recorded convergence; ``differential_evolution`` (the
+                       default) and ``genetic_algorithm`` (the paper's) are searchers
+weight_selection       eqs. (8), (9)
+synthesis              eqs. (13), (14), over one plant or the worst of several
+=====================  ==============================================================================
+
+Conventions: negative feedback; polynomials are arrays (..., n + 1) in falling powers, leading axes are
+candidates; a sampled loop is computed in the bilinear plane (``plant``), where Tustin's rule leaves a
+controller's coefficients as they are and all norms are those of the sampled loop.
 """

@@ -1,0 +1,184 @@
+"""Plant models: the plant document, and the plant as the loop sees it.
+
+A continuous loop sees G(s). A sampled loop sees G behind a zero-order hold and whole samples of delay; here
+that is a polynomial pair as well, in the bilinear plane s = 2/T (z - 1)/(z + 1). There a controller sampled
+by Tustin's rule has its continuous coefficients again, the unit circle is the imaginary axis, and every norm
+is that of the sampled loop exactly. So all the mathematics of this package is written once, for s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from typing import Annotated, Any, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from design import polynomials as poly
+from design.errors import DesignError
+from design.polynomials import Array
+from hil.documents import Document, from_json
+from hil.errors import DocumentError
+
+
+class TransferFunction(NamedTuple):
+    """num/den, arrays (..., n + 1) of coefficients in falling powers of s."""
+
+    num: Array
+    den: Array
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """The loop's period in seconds and whole samples between a measurement and its action on the valve."""
+
+    period_s: float
+    delay_samples: int = 1
+
+    def warp(self, omega: Array | float) -> Array:
+        """Frequency of the bilinear plane for a true frequency in rad/s."""
+        return 2.0 / self.period_s * np.tan(0.5 * self.period_s * np.asarray(omega, dtype=float))
+
+    def unwarp(self, omega: Array | float) -> Array:
+        """True frequency in rad/s for a frequency of the bilinear plane."""
+        return 2.0 / self.period_s * np.arctan(0.5 * self.period_s * np.asarray(omega, dtype=float))
+
+
+class Plant(Document, frozen=True, kw_only=True):
+    """An identified plant: output unit per input unit, num/den in falling powers of s, relative to rest."""
+
+    format: Literal["hil-plant"]
+    version: Literal[1]
+    name: str
+    description: str = ""
+    input_unit: Literal["V"]
+    output_unit: Literal["m", "rad"]
+    sample_time_s: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+    """Period of the record it was identified from."""
+    num: list[float]
+    den: list[float]
+    origin: dict[str, Any] = msgspec.field(default_factory=dict)
+
+    def transfer_function(self, sampling: Sampling | None = None) -> TransferFunction:
+        """G(s), or with ``sampling`` hold, plant and delay in the bilinear plane."""
+        num = np.trim_zeros(np.asarray(self.num, dtype=float), "f")
+        den = np.trim_zeros(np.asarray(self.den, dtype=float), "f")
+        if sampling is None:
+            return TransferFunction(num, den)
+        return delayed(zero_order_hold(TransferFunction(num, den), sampling.period_s), sampling)
+
+
+def read_plant(text: str, source: str) -> Plant:
+    """Read and check the text of a plant document. Raises DocumentError naming file, key and reason."""
+    plant = from_json(text, Plant, source)
+    if not any(plant.den):
+        raise DocumentError(f"{source}: den: all coefficients are 0")
+    if not any(plant.num):
+        raise DocumentError(f"{source}: num: the plant's gain is 0; nothing can be controlled through it")
+    G = plant.transfer_function()
+    if len(G.num) > len(G.den):
+        raise DocumentError(
+            f"{source}: num has degree {len(G.num) - 1}, den {len(G.den) - 1}: improper, no plant answers "
+            "before its input; check the order of the coefficients (falling powers of s)"
+        )
+    return plant
+
+
+def check_plant_fits(plant: Plant, source: str, unit: str) -> None:
+    """Refuse a plant whose output is not in the axis' unit. Raises DocumentError."""
+    if plant.output_unit != unit:
+        raise DocumentError(f"{source}: output_unit: {plant.output_unit}, but the axis is in {unit}")
+
+
+def paper_plant() -> Plant:
+    """The paper's eq. (15), shipped with the package."""
+    name = "plants/paper.json"
+    return read_plant(resources.files("design").joinpath(name).read_text("utf-8"), name)
+
+
+def zero_order_hold(G: TransferFunction, period_s: float) -> TransferFunction:
+    """G behind a zero-order hold, in the bilinear plane; exact, and no worse conditioned for short periods.
+
+    With Φ = exp(AT): A_w = 2/T (Φ - I)(Φ + I)^-1, and the factor 1 - sT/2 is the zero at z = ∞.
+    """
+    n = len(G.den) - 1
+    num, den = G.num / G.den[0], G.den / G.den[0]
+    direct = float(num[0]) if len(num) == n + 1 else 0.0
+    if n == 0:
+        return TransferFunction(num, den)
+    from scipy.linalg import expm
+
+    poles = poly.roots(den)
+    scale = max(float(np.abs(poles).max()), 1e-3 / period_s)
+    # Companion form in time scaled by the fastest pole, so that no entry dwarfs the others.
+    scaled_den = den / scale ** np.arange(n + 1)
+    scaled_num = poly.add(np.zeros(n + 1), num)[1:] / scale ** np.arange(1, n + 1) - direct * scaled_den[1:]
+    A = np.eye(n, k=-1)
+    A[0] = -scaled_den[1:]
+    B = np.eye(n, 1)
+    C = scaled_num.reshape(1, n)
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n], block[:n, n:] = A, np.eye(n)
+    step = period_s * scale
+    phi = expm(block * step)[:n, n:]
+    plus = 2.0 * np.eye(n) + A @ phi
+    try:
+        inverse = np.linalg.inv(plus)
+    except np.linalg.LinAlgError:
+        raise DesignError(
+            f"the plant has an undamped mode at half the sampling frequency ({np.pi / period_s:.4g} rad/s): "
+            "a loop of this period cannot see it"
+        ) from None
+    A_w = 2.0 / step * A @ phi @ inverse
+    B_w, C_w = phi @ B, 2.0 / step * C @ inverse
+    den_w = poly.from_roots(2.0 / step * np.tanh(0.5 * step * poles / scale))
+    # Numerator of C (sI - A)^-1 B from its values on a circle around all poles.
+    radius = 1.5 * max(float(np.abs(np.linalg.eigvals(A_w)).max()), 1.0)
+    s = radius * np.exp(2j * np.pi * np.arange(n) / n)
+    resolvents = np.linalg.solve(s[:, None, None] * np.eye(n) - A_w, np.broadcast_to(B_w, (n, n, 1)))
+    values = (C_w @ resolvents)[:, 0, 0] * np.polyval(den_w, s)
+    num_w = (np.fft.fft(values) / n).real[::-1] / radius ** np.arange(n - 1, -1, -1)
+    num_w = poly.add(poly.multiply(num_w, np.array([-0.5 * step, 1.0])), direct * den_w)
+    back = scale ** np.arange(n + 1.0)
+    return TransferFunction(num_w * back, den_w * back)
+
+
+def delayed(G: TransferFunction, sampling: Sampling) -> TransferFunction:
+    """G with the sampling's whole samples of delay, z^-1 = (1 - sT/2)/(1 + sT/2)."""
+    num, den = G
+    half = 0.5 * sampling.period_s
+    for _ in range(sampling.delay_samples):
+        num = poly.multiply(num, np.array([-half, 1.0]))
+        den = poly.multiply(den, np.array([half, 1.0]))
+    return TransferFunction(num, den)
+
+
+def to_z(H: TransferFunction, period_s: float) -> TransferFunction:
+    """From the bilinear plane to z (Tustin's rule): polynomials in falling powers of z, den monic."""
+    n = max(H.num.shape[-1], H.den.shape[-1])
+    pair = [
+        poly.substitute_fraction(
+            np.concatenate([np.zeros((*p.shape[:-1], n - p.shape[-1])), p], axis=-1),
+            (2.0 / period_s, -2.0 / period_s),
+            (1.0, 1.0),
+        )
+        for p in H
+    ]
+    lead = pair[1][..., :1]
+    return TransferFunction(pair[0] / lead, pair[1] / lead)
+
+
+def from_z(H: TransferFunction, period_s: float) -> TransferFunction:
+    """From falling powers of z to the bilinear plane, z = (1 + sT/2)/(1 - sT/2)."""
+    n = max(H.num.shape[-1], H.den.shape[-1])
+    half = 0.5 * period_s
+    num, den = (
+        poly.substitute_fraction(
+            np.concatenate([np.zeros((*p.shape[:-1], n - p.shape[-1])), p], axis=-1),
+            (half, 1.0),
+            (-half, 1.0),
+        )
+        for p in H
+    )
+    return TransferFunction(num, den)

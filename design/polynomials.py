@@ -1,0 +1,158 @@
+"""Batched polynomial algebra: arrays (..., n + 1) of real coefficients in falling powers.
+
+The leading axes are candidates; a polynomial shared by all candidates has shape (1, n + 1) or (n + 1,).
+Lives here: arithmetic, powers |p(jω)|² as polynomials in x = ω², roots by companion matrices, the Routh
+test. No control engineering.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Flags = NDArray[np.bool_]
+
+
+def multiply(*factors: Array) -> Array:
+    """Product of polynomials; leading axes broadcast."""
+    product = factors[0]
+    for factor in factors[1:]:
+        short, long = sorted((product, factor), key=lambda p: p.shape[-1])
+        batch = np.broadcast_shapes(short.shape[:-1], long.shape[:-1])
+        n = long.shape[-1]
+        product = np.zeros((*batch, short.shape[-1] + n - 1))
+        for i in range(short.shape[-1]):
+            product[..., i : i + n] += short[..., i : i + 1] * long
+    return product
+
+
+def add(*terms: Array) -> Array:
+    """Sum of polynomials of any degrees; leading axes broadcast."""
+    batch = np.broadcast_shapes(*(term.shape[:-1] for term in terms))
+    total = np.zeros((*batch, max(term.shape[-1] for term in terms)))
+    for term in terms:
+        total[..., total.shape[-1] - term.shape[-1] :] += term
+    return total
+
+
+def mirror(p: Array) -> Array:
+    """p(-s)."""
+    return p * _signs(p.shape[-1])
+
+
+def power(p: Array) -> Array:
+    """|p(jω)|² as a polynomial in x = ω², of the degree of p."""
+    n = p.shape[-1]
+    return multiply(p, mirror(p))[..., ::2] * _signs(n)
+
+
+def derivative(p: Array) -> Array:
+    """dp/ds."""
+    n = p.shape[-1]
+    return p[..., :-1] * np.arange(n - 1.0, 0.0, -1.0) if n > 1 else np.zeros_like(p)
+
+
+def at(p: Array, s: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Values (..., k) of polynomials (..., n + 1) at points (..., k)."""
+    value = p[..., :1] + np.zeros_like(s)
+    for i in range(1, p.shape[-1]):
+        value = value * s + p[..., i : i + 1]
+    return value
+
+
+def even_odd(p: Array) -> tuple[Array, Array]:
+    """E and O, polynomials in x = ω² with p(jω) = E(x) + jω O(x)."""
+    even, odd = p[..., ::-1][..., ::2], p[..., ::-1][..., 1::2]
+    if odd.shape[-1] == 0:
+        odd = np.zeros((*p.shape[:-1], 1))
+    return (
+        (even * (-1.0) ** np.arange(even.shape[-1]))[..., ::-1],
+        (odd * (-1.0) ** np.arange(odd.shape[-1]))[..., ::-1],
+    )
+
+
+def roots(p: Array) -> ComplexArray:
+    """Roots (..., n) of polynomials (..., n + 1), by companion eigenvalues; ∞ for each leading 0.
+
+    Of p and of its reversal, whose roots are the inverses, the one is taken whose companion matrix is less
+    dominated by a far root: a nearly vanishing end coefficient then costs the other roots no digits.
+    """
+    shape, n = p.shape[:-1], p.shape[-1] - 1
+    if n == 0:
+        return np.zeros((*shape, 0), dtype=np.complex128)
+    flat = p.reshape(-1, n + 1)
+    vanishing = np.argmax(flat != 0.0, axis=-1)
+    if vanishing.any():
+        index = np.arange(n + 1) + vanishing[:, None]
+        flat = np.where(index <= n, np.take_along_axis(flat, np.minimum(index, n), axis=-1), 0.0)
+    reverse = np.zeros(len(flat), dtype=bool)
+    with np.errstate(all="ignore"):
+        if n > 2:
+            size = np.abs(flat)
+            far = size[:, 1] * size[:, n] / (size[:, 0] * size[:, n - 1])
+            reverse = far > (size[:, n - 1] / size[:, 1]) ** (2.0 / (n - 2))
+            reverse &= size[:, n] > 0.0
+        flat = np.where(reverse[:, None], flat[:, ::-1], flat)
+        companion = np.zeros((len(flat), n, n))
+        companion[:, 0] = np.nan_to_num(-flat[:, 1:] / flat[:, :1], posinf=1e200, neginf=-1e200)
+        companion[:, np.arange(1, n), np.arange(n - 1)] = 1.0
+        found = np.linalg.eigvals(companion).astype(np.complex128)
+        found = np.where(reverse[:, None], 1.0 / found, found)
+    if vanishing.any():
+        found = np.take_along_axis(found, np.argsort(np.abs(found), axis=-1), axis=-1)
+        found[np.arange(n) < vanishing[:, None]] = np.inf
+    return found.reshape(*shape, n)
+
+
+def from_roots(zeros: ComplexArray) -> Array:
+    """Monic real polynomials (..., n + 1) with roots (..., n), which come in conjugate pairs."""
+    product = np.ones((*zeros.shape[:-1], 1), dtype=np.complex128)
+    for i in range(zeros.shape[-1]):
+        product = np.concatenate([product, np.zeros((*zeros.shape[:-1], 1))], axis=-1)
+        product[..., 1:] -= zeros[..., i : i + 1] * product[..., :-1].copy()
+    return product.real
+
+
+def hurwitz(p: Array) -> Flags:
+    """Whether all roots lie in Re s < 0, by the Routh table; the degree is that of the array's length."""
+    p = p * np.where(p[..., :1] < 0.0, -1.0, 1.0)
+    stable = (p > 0.0).all(axis=-1)
+    n = p.shape[-1]
+    above, row = p[..., ::2], p[..., 1::2]
+    with np.errstate(all="ignore"):
+        for _ in range(n - 2):
+            width = above.shape[-1] - 1
+            below = above[..., 1:].copy()
+            tail = row[..., 1:]
+            below[..., : tail.shape[-1]] -= above[..., :1] / row[..., :1] * tail[..., :width]
+            stable &= below[..., 0] > 0.0
+            above, row = row, below
+    return np.asarray(stable)
+
+
+def spectral_abscissa(p: Array) -> Array:
+    """Largest real part (...) of the roots."""
+    if p.shape[-1] == 1:
+        return np.full(p.shape[:-1], -np.inf)
+    return np.asarray(roots(p).real.max(axis=-1))
+
+
+def substitute_fraction(p: Array, above: Sequence[float], below: Sequence[float]) -> Array:
+    """Numerator of p(a(s)/b(s)) over b(s)^n, for polynomials a and b of one degree each."""
+    n = p.shape[-1] - 1
+    a, b = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
+    total = p[..., :1]
+    b_power = np.ones(1)
+    for i in range(1, n + 1):
+        b_power = multiply(b_power, b)
+        total = add(multiply(total, a), p[..., i : i + 1] * b_power)
+    return total
+
+
+def _signs(n: int) -> Array:
+    """+1 for even, -1 for odd powers, of polynomials with n coefficients."""
+    return np.asarray((-1.0) ** np.arange(n - 1, -1, -1))

@@ -1,0 +1,142 @@
+"""Batched step responses of closed loops, exact at their samples, continuous or sampled.
+
+Plant and controller keep their own states (companion forms scaled in time). A continuous loop is stepped by
+its matrix exponential (a step is constant between samples, so this is exact); a sampled loop by the exact
+map from the bilinear plane to z. Powers of the step matrix are doubled, not iterated.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from design import polynomials as poly
+from design.plant import Sampling, TransferFunction
+from design.polynomials import Array
+from design.structures import Controller
+
+
+class StepResponses(NamedTuple):
+    """Unit setpoint steps at time 0 from rest: time_s (k,), y (B, k), u (B, k)."""
+
+    time_s: Array
+    y: Array
+    u: Array
+
+
+def step_responses(
+    G: TransferFunction, K: Controller, sampling: Sampling | None, step_s: float, samples: int
+) -> StepResponses:
+    """Responses of u = (num_r r - num y)/den on G, ``step_s`` apart; for a sampled loop that is its period."""
+    A, B, C, D = _closed_loop(G, K)
+    n = A.shape[-1]
+    M = np.zeros((len(A), n + 1, n + 1))
+    if sampling is None:
+        M[:, :n, :n], M[:, :n, n:] = A, B
+        M = _exponential(M * step_s)
+    else:
+        half = 0.5 * sampling.period_s
+        inverse = np.linalg.inv(np.eye(n) - half * A)
+        M[:, :n, :n] = (np.eye(n) + half * A) @ inverse
+        M[:, :n, n:] = sampling.period_s * inverse @ B
+        M[:, n, n] = 1.0
+        D = D + half * C @ inverse @ B
+        C = C @ inverse
+    rows = np.concatenate([C, D], axis=-1)
+    outputs = _powers(rows, M, samples)
+    return StepResponses(np.arange(samples) * step_s, outputs[:, 0], outputs[:, 1])
+
+
+def _closed_loop(G: TransferFunction, K: Controller) -> tuple[Array, Array, Array, Array]:
+    """From r to [y, u]: A (B, n, n), B (B, n, 1), C (B, 2, n), D (B, 2, 1)."""
+    num, den, num_r = (np.atleast_2d(p) for p in K)
+    Ag, Bg, Dg = _observer_form(np.atleast_2d(G.den), np.atleast_2d(G.num))
+    Ak, Bk, Dk = _observer_form(den, num_r, -num)
+    size = max(len(Ag), len(Ak), len(Dk))
+    ng, nk = Ag.shape[-1], Ak.shape[-1]
+    n = ng + nk
+    # With y = x_g[0] + Dg u and u = x_k[0] + Dk [r, y]: solve the direct path first.
+    direct = 1.0 / (1.0 - Dk[:, 1] * Dg[:, 0])
+    U = np.zeros((size, 1, n + 1))
+    if nk:
+        U[:, 0, ng] = 1.0
+    if ng:
+        U[:, 0, 0] = Dk[:, 1]
+    U[:, 0, n] = Dk[:, 0]
+    U *= direct[:, None, None]
+    Y = Dg[:, None, :] * U
+    if ng:
+        Y[:, 0, 0] += 1.0
+    rows = np.zeros((size, n, n + 1))
+    rows[:, :ng, :ng] = Ag
+    rows[:, ng:, ng:n] = Ak
+    rows[:, :ng] += Bg @ U
+    rows[:, ng:] += Bk[:, :, 1:] @ Y
+    rows[:, ng:, n] += Bk[:, :, 0]
+    outputs = np.concatenate([Y, U], axis=1)
+    return rows[:, :, :n], rows[:, :, n:], outputs[:, :, :n], outputs[:, :, n:]
+
+
+def _observer_form(den: Array, *nums: Array) -> tuple[Array, Array, Array]:
+    """A (B, n, n), B (B, n, inputs), D (B, inputs); the output is the first state plus D times the inputs."""
+    n = den.shape[-1] - 1
+    size = max(len(den), *(len(num) for num in nums))
+    lead = den[:, :1]
+    a = den[:, 1:] / lead
+    b = np.stack(
+        [np.broadcast_to(poly.add(num, np.zeros((1, n + 1))) / lead, (size, n + 1)) for num in nums], axis=-1
+    )
+    degrees = np.arange(1.0, n + 1.0)
+    with np.errstate(divide="ignore"):
+        speed = np.exp((np.log(np.abs(a)) / degrees).max(axis=-1, initial=0.0))[:, None]
+    A = np.zeros((len(den), n, n))
+    if n:
+        A[:, :, 0] = -a / speed**degrees * speed
+        A[:, np.arange(n - 1), np.arange(1, n)] = speed
+    B = (b[:, 1:] - a[:, :, None] * b[:, :1]) / (speed ** (degrees - 1.0))[:, :, None]
+    return A, B, b[:, 0]
+
+
+def _exponential(M: Array) -> Array:
+    """exp(M) by scaling, a Taylor polynomial of degree 12 (Paterson-Stockmeyer), and squaring."""
+    size = float(np.abs(M).sum(axis=-1).max(initial=0.0))
+    squarings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / 0.5))))
+    X = M / 2.0**squarings
+    eye = np.eye(M.shape[-1])
+    X2 = X @ X
+    X3 = X2 @ X
+    result = np.zeros_like(M)
+    for i in (9, 6, 3, 0):
+        f = [1.0 / _factorial(i + j) for j in range(4)]
+        block = f[0] * eye + f[1] * X + f[2] * X2
+        if i == 9:
+            block = block + f[3] * X3
+        result = result @ X3 + block
+    for _ in range(squarings):
+        result = result @ result
+    return np.asarray(result)
+
+
+def _factorial(n: int) -> float:
+    return float(np.prod(np.arange(1.0, n + 1.0)))
+
+
+def _powers(rows: Array, M: Array, samples: int) -> Array:
+    """rows M^k [0 … 0 1]' for k < samples: (B, outputs, samples), by small and giant steps."""
+    size, outputs, n = rows.shape
+    small = 1
+    blocks = rows
+    while small * small < samples:
+        blocks = np.concatenate([blocks, blocks @ M], axis=1)
+        M = M @ M
+        small *= 2
+    giant = 1
+    states = np.zeros((size, n, 1))
+    states[:, -1] = 1.0
+    while giant * small < samples:
+        states = np.concatenate([states, M @ states], axis=2)
+        M = M @ M
+        giant *= 2
+    values = (blocks @ states).reshape(size, small, outputs, giant)
+    return values.transpose(0, 2, 3, 1).reshape(size, outputs, small * giant)[:, :, :samples]

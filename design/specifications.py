@@ -1,0 +1,178 @@
+"""Performance specifications, eqs. (8) and (9): what is read off a loop, its limit, and by how much it fails.
+
+Any subset may be asked for, of a continuous or a sampled loop. The paper does not say of which loop its
+specifications are; each reading names its own. Violations are relative to the limit, 0 where it holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from design import margins
+from design.loops import Loops
+from design.polynomials import Array
+
+_UNSTABLE = 1e3
+_WORST = 1e2
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something that can be specified: how it reads, in which unit, and whether its limit is the largest."""
+
+    unit: str
+    limit_is_largest: bool
+    reading: str
+    read: Callable[[Loops, float], Array]
+    """Values (B,) of loops, given the specification's ``at``."""
+    takes: str | None = None
+    """What ``at`` is, with its unit; None if it has none."""
+
+
+QUANTITIES = {
+    "overshoot": Quantity(
+        "",
+        True,
+        "largest y of the closed loop's unit step over its final value, less 1",
+        lambda q, _: q.overshoot,
+    ),
+    "settling_s": Quantity(
+        "s",
+        True,
+        "time from which the closed loop's step stays within 2 % of its final value",
+        lambda q, _: q.settling_s,
+    ),
+    "rise_s": Quantity("s", True, "10 to 90 % of the closed loop's step", lambda q, _: q.rise_s),
+    "error": Quantity(
+        "", True, "|1 - y| of the closed loop's unit step as t goes to infinity", lambda q, _: q.error
+    ),
+    "bandwidth_rad_s": Quantity(
+        "rad/s",
+        False,
+        "crossover of {desired}",
+        lambda q, _: q.true_frequency(margins.crossover(q.desired)),
+    ),
+    "closed_bandwidth_rad_s": Quantity(
+        "rad/s",
+        False,
+        "-3 dB of the closed loop",
+        lambda q, _: q.true_frequency(margins.bandwidth(q.G, q.K.feedback)),
+    ),
+    "gain_db": Quantity(
+        "dB",
+        False,
+        "smallest gain of {desired} up to {at} rad/s",
+        lambda q, at: _db(margins.lowest_gain(q.desired, _plane(q, at))),
+        takes="the highest frequency of the band, rad/s",
+    ),
+    "gain_margin_db": Quantity(
+        "dB",
+        False,
+        "smallest factor over 1 that brings GK to -1",
+        lambda q, _: _db(margins.gain_margins(q.open)[1]),
+    ),
+    "phase_margin_deg": Quantity(
+        "deg",
+        False,
+        "smallest angle between GK and -1 where |GK| = 1",
+        lambda q, _: np.degrees(margins.phase_margin(q.open)),
+    ),
+    "effort_v": Quantity(
+        "V",
+        True,
+        "largest |u| after a setpoint step of {at}",
+        lambda q, at: at * q.effort,
+        takes="the size of the step, in the axis' unit",
+    ),
+    "disturbance_peak": Quantity(
+        "", True, "‖G/(1 + GK)‖∞, output unit per V", lambda q, _: margins.disturbance_peak(q.G, q.K.feedback)
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Specification:
+    """A limit on a quantity of :data:`QUANTITIES`; ``at`` is what some of them take."""
+
+    quantity: str
+    limit: float
+    at: float = 1.0
+
+    @property
+    def kind(self) -> Quantity:
+        """What is read."""
+        return QUANTITIES[self.quantity]
+
+    def read(self, loops: Loops) -> Array:
+        """Values (B,)."""
+        return np.asarray(self.kind.read(loops, self.at))
+
+    def violation(self, value: Array) -> Array:
+        """By how much values (B,) fail, relative to the limit; 0 where it holds."""
+        size = max(abs(self.limit), 1e-12)
+        excess = (value - self.limit) / size
+        excess = excess if self.kind.limit_is_largest else -excess
+        return np.clip(np.nan_to_num(excess, nan=_WORST, posinf=_WORST, neginf=0.0), 0.0, _WORST)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One specification of one loop: its value, its limit, and what exactly was read."""
+
+    quantity: str
+    value: float
+    limit: float
+    unit: str
+    reading: str
+    met: bool
+
+    def __str__(self) -> str:
+        sign = "<=" if QUANTITIES[self.quantity].limit_is_largest else ">="
+        verdict = "met" if self.met else "NOT met"
+        return (
+            f"{self.quantity} {self.value:.4g} {self.unit} {verdict} ({sign} {self.limit:g}; {self.reading})"
+        )
+
+
+def violations(specifications: Sequence[Specification], loops: Loops) -> Array:
+    """Summed violations (B,); over 1000 where a loop is unstable, 0 where everything holds."""
+    total = np.zeros(len(loops.stable))
+    for specification in specifications:
+        total = total + specification.violation(specification.read(loops))
+    return np.where(loops.stable, total, total + _UNSTABLE)
+
+
+def readings(specifications: Sequence[Specification], loops: Loops) -> tuple[Reading, ...]:
+    """What a single loop reads."""
+    result = []
+    for specification in specifications:
+        kind = specification.kind
+        value = specification.read(loops)
+        met = bool(loops.stable[0] and specification.violation(value)[0] <= 0.0)
+        name = kind.reading.format(desired=loops.desired_name, at=specification.at)
+        result.append(
+            Reading(specification.quantity, float(value[0]), specification.limit, kind.unit, name, met)
+        )
+    return tuple(result)
+
+
+PAPER = (
+    Specification("overshoot", 0.05),
+    Specification("settling_s", 1.2),
+    Specification("error", 0.001),
+    Specification("bandwidth_rad_s", 4.0),
+    Specification("gain_db", 20.0, at=0.4),
+)
+"""Sec. IV: OV, St, SE, BW and Gu below ω_l."""
+
+
+def _db(gain: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.asarray(20.0 * np.log10(gain))
+
+
+def _plane(loops: Loops, omega: float) -> float:
+    return omega if loops.sampling is None else float(loops.sampling.warp(omega))

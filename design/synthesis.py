@@ -1,0 +1,116 @@
+"""Fixed-structure synthesis, eqs. (13) and (14): the parameters of largest stability margin ε.
+
+Over one plant, or the worst of several with one weight; continuous, or in the sampled loop with hold and
+delay, the controller by Tustin's rule: what is judged is what runs. Fitness is ε where the loop is stable
+and meets its specifications (if any); else it is below 0 and graded, so that a stable loop of small margin
+never ranks below an unstable one (as it does in eq. (14), with its 0.01).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from design import margins
+from design import polynomials as poly
+from design.central_controller import optimal_margins
+from design.differential_evolution import DifferentialEvolution
+from design.errors import InfeasibleError, NotStabilisedError
+from design.loop_shaping import shaped
+from design.loops import Loops
+from design.plant import Plant, Sampling, TransferFunction
+from design.polynomials import Array
+from design.search import Progress, Searcher, SearchResult, maximise
+from design.specifications import Reading, Specification, readings, violations
+from design.structures import Box, Structure
+from design.weight_selection import _horizon_s, _infeasible, _models
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """A controller of the structure asked for, and how good it is."""
+
+    structure: Structure
+    parameters: dict[str, float]
+    eps: float
+    """Margin of the loop it was designed for; over several plants, the smallest."""
+    eps_of_plants: tuple[float, ...]
+    eps_opt: float
+    """The best that any controller could reach with this weight; over several plants, the smallest."""
+    weight: TransferFunction
+    readings: tuple[Reading, ...]
+    sampling: Sampling | None
+    search: SearchResult
+
+    @property
+    def values(self) -> list[float]:
+        """Parameter values in the structure's order."""
+        return list(self.parameters.values())
+
+
+def synthesise(
+    plants: Plant | Sequence[Plant],
+    weight: TransferFunction,
+    structure: Structure,
+    *,
+    specifications: Sequence[Specification] = (),
+    sampling: Sampling | None = None,
+    searcher: Searcher | None = None,
+    seed: int = 1,
+    evaluations: int = 6000,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Synthesis:
+    """The best controller found. Raises NotStabilisedError, or InfeasibleError if specifications fail."""
+    models = _models(plants, sampling)
+    box = Box(structure.parameters)
+    horizon_s = _horizon_s(specifications)
+
+    def loops(G: TransferFunction, points: Array) -> Loops:
+        K = structure.controller(box.decode(points))
+        return Loops(G, K, W=weight, sampling=sampling, horizon_s=horizon_s)
+
+    def objective(points: Array) -> Array:
+        K = structure.controller(box.decode(points))
+        fitness = np.full(len(points), np.inf)
+        for G in models:
+            margin = margins.stability_margin(G, K.feedback, weight)
+            unstable = margin == 0.0
+            if unstable.any():
+                closed = np.atleast_2d(margins.characteristic(G, K.feedback))[unstable]
+                margin[unstable] = -1e4 - np.minimum(poly.spectral_abscissa(closed), 1e8)
+            if specifications:
+                failing = violations(specifications, loops(G, points))
+                margin = np.where(unstable | (failing <= 0.0), margin, -failing)
+            fitness = np.minimum(fitness, margin)
+        return fitness
+
+    searcher = searcher or DifferentialEvolution(len(box), seed=seed, evaluations=evaluations, population=60)
+    search = maximise(objective, searcher, on_progress)
+    best = search.best[None, :]
+    values = box.decode(best)[0]
+    parameters = dict(zip(box.names, map(float, values), strict=True))
+    if search.best_fitness <= -1e4:
+        raise NotStabilisedError(
+            f"no {type(structure).__name__} in its box stabilises the plant: after {search.evaluations} candidates "
+            f"the best loop still has a pole at Re s = {-search.best_fitness - 1e4:.3g} rad/s; widen the boxes, "
+            "or choose another structure"
+        )
+    batches = [loops(G, best) for G in models]
+    eps = [float(batch.margin[0]) for batch in batches]
+    worst = max(batches, key=lambda batch: float(violations(specifications, batch)[0]))
+    read = readings(specifications, worst)
+    if search.best_fitness < 0.0:
+        raise InfeasibleError(_infeasible(parameters, read))
+    return Synthesis(
+        structure=structure,
+        parameters=parameters,
+        eps=min(eps),
+        eps_of_plants=tuple(eps),
+        eps_opt=min(float(optimal_margins(shaped(G, weight))[0]) for G in models),
+        weight=weight,
+        readings=read,
+        sampling=sampling,
+        search=search,
+    )

@@ -1,0 +1,118 @@
+"""Weight selection, eqs. (8) and (9): the W1 of largest ε_opt whose loop meets the specifications.
+
+The loop that is specified: gains and crossover are those of the shaped plant Gs; times, overshoot and error
+those of the closed loop with K = W1 K∞, K∞ central for γ = factor γ_opt. Fitness is ε_opt where all hold;
+elsewhere it is graded by the violations, below 0, so that a search finds its way in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from design import polynomials as poly
+from design.central_controller import central_controllers
+from design.differential_evolution import DifferentialEvolution
+from design.errors import InfeasibleError
+from design.loop_shaping import shaped
+from design.loops import Loops
+from design.plant import Plant, Sampling, TransferFunction
+from design.polynomials import Array
+from design.search import Progress, Searcher, SearchResult, maximise
+from design.specifications import PAPER, Reading, Specification, readings, violations
+from design.structures import Box, IntegralWeight, Structure, of_error
+
+LEAST_COMPATIBLE = 0.25
+"""Below this ε_opt the weight is incompatible with robust stability (step 5 of the paper, [17])."""
+
+
+@dataclass(frozen=True)
+class WeightSelection:
+    """A weight W1 and what it was chosen for."""
+
+    parameters: dict[str, float]
+    weight: TransferFunction
+    """W1(s), num and den (n + 1,)."""
+    eps_opt: float
+    gamma_factor: float
+    readings: tuple[Reading, ...]
+    sampling: Sampling | None
+    search: SearchResult
+
+    @property
+    def compatible(self) -> bool:
+        """Whether ε_opt is high enough for the weight to be used."""
+        return self.eps_opt >= LEAST_COMPATIBLE
+
+
+def select_weight(
+    plants: Plant | Sequence[Plant],
+    *,
+    structure: Structure | None = None,
+    specifications: Sequence[Specification] = PAPER,
+    sampling: Sampling | None = None,
+    gamma_factor: float = 1.1,
+    searcher: Searcher | None = None,
+    seed: int = 1,
+    evaluations: int = 2000,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> WeightSelection:
+    """The best weight over one plant, or for the worst of several. Raises InfeasibleError."""
+    structure = IntegralWeight() if structure is None else structure
+    models = _models(plants, sampling)
+    box = Box(structure.parameters)
+    horizon_s = _horizon_s(specifications)
+
+    def loops(G: TransferFunction, W: TransferFunction) -> tuple[Loops, Array]:
+        Gs = shaped(G, W)
+        K_inf, eps_opt = central_controllers(Gs, gamma_factor)
+        num, den = poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den)
+        batch = Loops(G, of_error(num, den), W=W, sampling=sampling, horizon_s=horizon_s, desired=Gs)
+        return batch, eps_opt
+
+    def objective(points: Array) -> Array:
+        W = structure.controller(box.decode(points)).feedback
+        fitness = np.full(len(points), np.inf)
+        for G in models:
+            batch, eps_opt = loops(G, W)
+            failing = violations(specifications, batch)
+            fitness = np.minimum(fitness, np.where(failing > 0.0, -failing, eps_opt))
+        return fitness
+
+    searcher = searcher or DifferentialEvolution(len(box), seed=seed, evaluations=evaluations, population=20)
+    search = maximise(objective, searcher, on_progress)
+    values = box.decode(search.best[None, :])
+    W = structure.controller(values).feedback
+    found = [(batch, float(eps_opt[0])) for batch, eps_opt in (loops(G, W) for G in models)]
+    worst = max(found, key=lambda item: float(violations(specifications, item[0])[0]))
+    read = readings(specifications, worst[0])
+    parameters = dict(zip(box.names, map(float, values[0]), strict=True))
+    if search.best_fitness < 0.0:
+        raise InfeasibleError(_infeasible(parameters, read))
+    return WeightSelection(
+        parameters=parameters,
+        weight=TransferFunction(*(np.ravel(p) for p in W)),
+        eps_opt=min(eps for _, eps in found),
+        gamma_factor=gamma_factor,
+        readings=read,
+        sampling=sampling,
+        search=search,
+    )
+
+
+def _infeasible(parameters: dict[str, float], read: Sequence[Reading]) -> str:
+    at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
+    failed = "; ".join(str(reading) for reading in read if not reading.met)
+    return f"no weight in the box meets all specifications. Best compromise ({at}): {failed}. Relax it, or widen the box."
+
+
+def _models(plants: Plant | Sequence[Plant], sampling: Sampling | None) -> list[TransferFunction]:
+    several = [plants] if isinstance(plants, Plant) else list(plants)
+    return [plant.transfer_function(sampling) for plant in several]
+
+
+def _horizon_s(specifications: Sequence[Specification]) -> float:
+    limits = [s.limit for s in specifications if s.quantity in ("settling_s", "rise_s")]
+    return 5.0 * max(limits, default=1.2)
