@@ -1,0 +1,100 @@
+"""``hil run`` as a user calls it: the simulated rig in real time, its files, its signals, its refusals."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.cli import main
+from hil.life_cycle import State
+from hil.recording.reader import Recording
+from hil.shells.replay import verify
+
+HIL = [sys.executable, "-m", "hil.cli"]
+
+
+def test_simulated_rig_in_real_time(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    setpoints = ["--setpoint", "vertical=step:0.05@0.1", "--setpoint", "rotation=minimum-jerk:0.3@0.1/1"]
+    command = [*HIL, "run", "--duration", "3", "--record", str(path), *setpoints]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    for word in ("vertical", "overshoot", "settling", str(path)):
+        assert word in done.stdout.lower().replace("\n", "")
+    recording = Recording(path)
+    assert recording.complete
+    assert verify(recording).frames_compared > 200
+    vertical = recording.axis("vertical")
+    assert vertical["position"][vertical["state"] == State.RUNNING][-1] == pytest.approx(0.05, abs=0.002)
+    assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    assert set(recording.metadata["rights"]) >= {"SCHED_FIFO", "memory lock"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_the_run_with_centred_valves(tmp_path: Path, number: signal.Signals) -> None:
+    path = tmp_path / "run.mcap"
+    command = [*HIL, "run", "--duration", "600", "--record", str(path), "--setpoint", "vertical=sine:0.1@0/1"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as run:
+        assert run.stderr is not None
+        for line in run.stderr:
+            if "-> running" in line:
+                break
+        run.send_signal(number)
+        out, _ = run.communicate(timeout=60)
+    assert run.returncode == 0
+    assert "recording" in out
+    recording = Recording(path)
+    assert recording.metadata["ending"]["reason"] == "interrupted"
+    last = recording.axis("vertical")[-1]
+    assert last["state"] == State.ARMED
+    assert last["command_v"] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--setpoint", "vertical=step:0.2@1"], ["0.2 m", "0.15 m", "axes.vertical.max_y"]),
+        (["--setpoint", "vertical=jump:1"], ["jump:1", "step:SIZE@TIME"]),
+        (["--setpoint", "elbow=step:0.1@1"], ["elbow", "vertical, horizontal, rotation"]),
+        (["--setpoint", "vertical"], ["'vertical'", "AXIS=VALUE"]),
+        (["--controller", "vertical=nosuch.json"], ["nosuch.json", "ppid"]),
+        (["--controller", "rotation=zn"], ["rotation", "input_unit", "rad"]),
+        (["--rig", "nosuch.toml"], ["nosuch.toml", "No such file"]),
+        (["--bus", "vcan77"], ["vcan77"]),
+        (["--bus", "carrier pigeon"], ["carrier pigeon", "slcan:"]),
+    ],
+)
+def test_mistakes_are_explained(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    words: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "--duration", "1", *arguments]) == 2
+    told = capsys.readouterr().err
+    assert "Traceback" not in told
+    for word in words:
+        assert word in told
+    assert not list(tmp_path.rglob("*.mcap"))
+
+
+def test_an_existing_recording_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"precious")
+    assert main(["run", "--lockstep", "--duration", "1", "--record", str(path)]) == 2
+    assert "run.mcap" in capsys.readouterr().err
+    assert path.read_bytes() == b"precious"
+
+
+def test_silent_bus_is_explained(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    command = [*HIL, "run", "--bus", "udp:43999", "--duration", "1", "--record", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "boards did not come up" in done.stdout.lower().replace("\n", " ")
