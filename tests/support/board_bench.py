@@ -12,9 +12,13 @@ import msgspec
 from firmware_sim.codec import encode_values
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.frames import Frame
-from hil.rig import Rig, read_rig
+from hil.rig import Dac, Rig, read_rig
 
-RIG: Rig = read_rig((files("hil") / "rig.toml").read_text(), "rig.toml")
+SHIPPED: Rig = read_rig((files("hil") / "rig.toml").read_text(), "rig.toml")
+RIG: Rig = msgspec.structs.replace(
+    SHIPPED,
+    dac=Dac(protected=True, apply="at sync", watchdog_periods=5, heartbeat_timeout_periods=27),
+)
 PERIOD_NS = RIG.loop.period_ns
 HEARTBEAT_NS = 100_000_000
 CENTRED = (5.0, 5.0, 5.0)

@@ -157,6 +157,15 @@ class TestCommands:
         bench.give(SYNC)
         assert bench.valve_v == (7.5, 5.0, 5.0)
 
+    @pytest.mark.parametrize("apply", ["at sync", "at once"])
+    def test_without_a_new_command_the_valves_hold_the_last(self, apply: str) -> None:
+        bench = Bench(with_dac(apply=apply)).started()
+        bench.period(6.25, 5.0, 2.5)
+        for _ in range(4):
+            bench.give(SYNC)
+            assert bench.valve_v == (6.25, 5.0, 2.5)
+            bench.wait(PERIOD_NS)
+
     def test_at_once_a_command_applies_as_it_comes(self) -> None:
         bench = Bench(with_dac(apply="at once")).started()
         bench.command(6.25, 5.0, 2.5)

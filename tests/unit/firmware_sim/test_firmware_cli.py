@@ -134,7 +134,7 @@ def test_wrong_input_is_told_without_a_traceback(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     shipped = (Path(cli.__file__).parents[1] / "hil" / "rig.toml").read_text()
-    Path("broken.toml").write_text(shipped.replace("period_s = 0.0112", "period_s = 7.0"))
+    Path("broken.toml").write_text(re.sub(r"period_s = [\d.]+", "period_s = 7.0", shipped))
     Path("binary.toml").write_bytes(b"\xff\xfe")
     assert cli.main(arguments) == 2
     error = capsys.readouterr().err
@@ -171,7 +171,7 @@ def test_the_rig_file_sets_the_boards_up(
 ) -> None:
     path = tmp_path / "rig.toml"
     shipped = (Path(cli.__file__).parents[1] / "hil" / "rig.toml").read_text()
-    path.write_text(shipped.replace("watchdog_periods = 5", "watchdog_periods = 7"))
+    path.write_text(shipped.replace("watchdog_periods = 8", "watchdog_periods = 7"))
     seen = []
     monkeypatch.setattr(cli, "simulate", lambda rig, bus: seen.append(rig))
     assert cli.main(["--bus", "inproc:set up", "--rig", str(path)]) == 0
