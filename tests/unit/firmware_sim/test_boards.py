@@ -204,6 +204,7 @@ class TestCommands:
         assert bench.valve_v == (6.25, 5.0, 5.0)
         bench.give(nmt(sent))
         assert bench.valve_v == CENTRED
+        assert bench.rig.next_deadline_ns == bench.rig.adc.next_deadline_ns, "the watchdog's is withdrawn"
         bench.give(nmt(START))
         bench.give(SYNC)
         assert bench.valve_v == CENTRED
@@ -299,6 +300,13 @@ class TestWatchdog:
         frames = bench.command(7.5, 5.0, 5.0)
         assert [emergency(frame)[1] for frame in frames] == [0x8250, 0]
         assert (2 * PERIOD_NS + 1, (6.25, 5.0, 5.0)) in bench.plant.held
+
+    def test_a_command_at_its_very_instant_is_in_time(self) -> None:
+        bench = Bench(with_dac(apply="at once", watchdog_periods=2)).started()
+        bench.command(6.25, 5.0, 5.0)
+        bench.now_ns += 2 * PERIOD_NS
+        assert bench.command(7.5, 5.0, 5.0) == []
+        assert bench.valve_v == (7.5, 5.0, 5.0)
 
     def test_after_it_any_counter_is_taken(self) -> None:
         bench = Bench(with_dac(apply="at once")).started()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import select
@@ -13,24 +14,31 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from support.board_bench import RIG, HandPlant
 
 from firmware_sim import cli
 from firmware_sim.codec import decode_values
+from firmware_sim.simulated_rig import SimulatedRig
 from hil.errors import HilError, LinkError
 from hil.frames import Frame
-from hil.links import Link, open_link
+from hil.links import Link, Received, open_link
 
-COMMAND = [sys.executable, "-m", "firmware_sim.cli"]
+COMMAND = [sys.executable, "-m", "firmware_sim"]
 LIMIT_S = 20
 
 
 @pytest.fixture
-def handlers_kept() -> Iterator[None]:
+def process_kept() -> Iterator[None]:
+    """What ``main`` changes of its process is put back."""
     numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.getsignal(number) for number in numbers]
+    handlers = [signal.getsignal(number) for number in numbers]
+    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     yield
-    for number, handler in zip(numbers, before, strict=True):
+    for number, handler in zip(numbers, handlers, strict=True):
         signal.signal(number, handler)
+    if os.sched_getscheduler(0) != policy:
+        os.sched_setscheduler(0, policy, parameter)
+    gc.unfreeze()
 
 
 @pytest.fixture
@@ -106,7 +114,7 @@ def test_it_dies_with_the_parent_that_asked_for_it_even_by_kill_9(port: int) -> 
 
 
 def test_a_parent_that_is_not_the_parent_is_refused(
-    handlers_kept: None, capsys: pytest.CaptureFixture[str]
+    process_kept: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["--bus", "pty", "--parent-pid", "1"]) == 2
     assert f"the parent is process {os.getppid()}" in capsys.readouterr().err
@@ -129,7 +137,7 @@ def test_wrong_input_is_told_without_a_traceback(
     complaint: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    handlers_kept: None,
+    process_kept: None,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -154,7 +162,7 @@ class DivergingPlant:
 
 
 def test_a_failing_plant_ends_it_with_its_message_and_both_boards_fall_silent(
-    monkeypatch: pytest.MonkeyPatch, handlers_kept: None, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, process_kept: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(cli, "LinearPlant", DivergingPlant)
     with open_link("inproc:diverging") as link:
@@ -166,8 +174,77 @@ def test_a_failing_plant_ends_it_with_its_message_and_both_boards_fall_silent(
     assert heard == [Frame(0x710, b"\x00"), Frame(0x720, b"\x00")]
 
 
+class SteppedBus:
+    """A bus and the clocks: each step passes a time, sets the wall clock by another, and gives a frame."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, steps: list[tuple[int, int, int]]) -> None:
+        self.monotonic_ns, self.wall_offset_ns = 10**12, 10**18
+        monkeypatch.setattr(cli, "monotonic_ns", lambda: self.monotonic_ns)
+        monkeypatch.setattr(cli, "time_ns", lambda: self.monotonic_ns + self.wall_offset_ns)
+        self.steps = steps
+
+    def send(self, frame: Frame) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def receive(self, timeout_s: float) -> Received | None:
+        if not self.steps:
+            raise LinkError("over")
+        passed_ns, age_ns, set_ns = self.steps.pop(0)
+        self.monotonic_ns += passed_ns
+        stamp_ns = self.monotonic_ns + self.wall_offset_ns - age_ns
+        self.wall_offset_ns += set_ns
+        return Received(Frame(0x080), stamp_ns, "kernel")
+
+
+MS = 1_000_000
+HOUR = 3_600_000 * MS
+
+
+@pytest.mark.parametrize(
+    ("steps", "taken_ms"),
+    [
+        ([(50 * MS, 0, 0), (11 * MS, 0, 0)], [50, 61]),
+        ([(50 * MS, 40 * MS, 0), (0, 29 * MS, 0)], [10, 21]),
+        ([(50 * MS, 0, 0), (10 * MS, 20 * MS, 0)], [50, 50]),
+        ([(50 * MS, 10 * MS, -HOUR), (11 * MS, 0, 0)], [50, 61]),
+        ([(50 * MS, 10 * MS, HOUR), (11 * MS, 0, 0)], [0, 61]),
+    ],
+    ids=["at once", "after a stall", "never back", "wall clock set back", "wall clock set forward"],
+)
+def test_frames_are_taken_at_the_time_they_came(
+    steps: list[tuple[int, int, int]], taken_ms: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus = SteppedBus(monkeypatch, steps)
+    start_ns, taken = bus.monotonic_ns, []
+
+    class NotingRig(SimulatedRig):
+        def receive(self, frame: Frame, now_ns: int) -> tuple[Frame, ...]:
+            taken.append((now_ns - start_ns) / MS)
+            return ()
+
+    with pytest.raises(LinkError, match="over"):
+        cli.simulate(NotingRig(RIG, HandPlant()), bus)
+    assert taken == taken_ms
+
+
+def test_without_the_right_to_a_priority_it_runs_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, process_kept: None
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    ran = []
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(cli, "simulate", lambda rig, bus: ran.append(rig))
+    assert cli.main(["--bus", "inproc:no right"]) == 0
+    assert len(ran) == 1
+
+
 def test_the_rig_file_sets_the_boards_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, handlers_kept: None
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, process_kept: None
 ) -> None:
     path = tmp_path / "rig.toml"
     shipped = (Path(cli.__file__).parents[1] / "hil" / "rig.toml").read_text()
