@@ -36,14 +36,14 @@ _REJECTED_RANGE: Final = 3
 
 
 class AdcBoard(CanopenSlave[AdcFaults]):
-    """Potentiometer board, node 0x10. ``sample`` gives the pins' voltages at an instant."""
+    """Potentiometer board, node 0x10. ``sample`` gives the pins' voltages now."""
 
     __slots__ = ("_converter", "_counter", "_protected", "_sample")
 
     def __init__(
         self,
         rig: Rig,
-        sample: Callable[[int], Sequence[float]],
+        sample: Callable[[], Sequence[float]],
         *,
         resolution_bits: int,
         heartbeat_ns: int,
@@ -58,7 +58,7 @@ class AdcBoard(CanopenSlave[AdcFaults]):
         self._counter = 0
 
     def _on_sync(self, now_ns: int) -> Frames:
-        volts = self._sample(now_ns)
+        volts = self._sample()
         if self.faults is not None:
             return self._on_faulty_sync(volts, self.faults)
         return (self._sample_frame(volts),)

@@ -28,7 +28,9 @@ class SimulatedRig:
         self, rig: Rig, plant: Plant, *, resolution_bits: int = 12, heartbeat_ns: int = 100_000_000
     ) -> None:
         self.plant = plant
-        self.adc = AdcBoard(rig, self._sample, resolution_bits=resolution_bits, heartbeat_ns=heartbeat_ns)
+        self.adc = AdcBoard(
+            rig, plant.potentiometer_v, resolution_bits=resolution_bits, heartbeat_ns=heartbeat_ns
+        )
         self.dac = DacBoard(rig, self._drive, resolution_bits=resolution_bits, heartbeat_ns=heartbeat_ns)
         self._held_v: Sequence[float] = self.dac.valve_v
         self._plant_ns = NEVER
@@ -67,10 +69,6 @@ class SimulatedRig:
             # Nobody sends SYNC: keep up, so that the first one has not hours to simulate.
             self._advance(now_ns)
         return frames
-
-    def _sample(self, now_ns: int) -> Sequence[float]:
-        self._advance(now_ns)
-        return self.plant.potentiometer_v()
 
     def _drive(self, valve_v: Volts, now_ns: int) -> None:
         self._advance(now_ns)
