@@ -8,7 +8,6 @@ import os
 import select
 import subprocess
 import sys
-import time
 from collections import Counter, deque
 from pathlib import Path
 
@@ -65,8 +64,8 @@ class RecorderPipe:
         self._backlog.append(block)
         self._backlog_bytes += len(block)
         self.push()
-        if self._lossless and self._backlog:
-            self._push_until(None)
+        if self._lossless:
+            self._wait_for_backlog(None)
 
     def push(self) -> None:
         """Write as much of the backlog as the pipe takes now."""
@@ -85,11 +84,14 @@ class RecorderPipe:
         except BrokenPipeError:
             self._fail(self._last_words())
 
+    def drain(self) -> None:
+        """Wait until everything is written, or the process has taken nothing for too long."""
+        self._wait_for_backlog(CLOSE_TIMEOUT_S)
+
     def close(self) -> None:
         """Write what is left, and wait until the file is whole; ``failure`` says when it is not."""
-        self._push_until(time.monotonic() + CLOSE_TIMEOUT_S)
-        with contextlib.suppress(BrokenPipeError):
-            self._stdin.close()
+        self.drain()
+        self._stdin.close()
         try:
             status = self._process.wait(CLOSE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -99,10 +101,9 @@ class RecorderPipe:
                 self._fail(self._last_words())
         self._stderr.close()
 
-    def _push_until(self, deadline_s: float | None) -> None:
+    def _wait_for_backlog(self, patience_s: float | None) -> None:
         while self._backlog:
-            timeout_s = None if deadline_s is None else max(0.0, deadline_s - time.monotonic())
-            _, writable, _ = select.select([], [self._stdin], [], timeout_s)
+            _, writable, _ = select.select([], [self._stdin], [], patience_s)
             if not writable:
                 self._fail(f"the recorder process took nothing for {CLOSE_TIMEOUT_S:.0f} s")
                 return

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from hil.errors import RecordingError
 from hil.events import Cycle, Event
 from hil.frames import Frame
 from hil.recording import schemas
@@ -38,6 +39,9 @@ BATCH_BYTES = 32 * 1024
 BATCH_AGE_NS = 200_000_000
 
 _SECOND_NS = 1_000_000_000
+ROS_TIME_END_NS = 2**31 * _SECOND_NS
+"""``builtin_interfaces/msg/Time`` counts seconds from 1970 to January 2038."""
+_LONGEST_RUN_NS = 365 * 86400 * _SECOND_NS
 _NO_FRAME_ID = cdr_string("")
 
 
@@ -58,10 +62,16 @@ class Recorder:
 
     The recorder process would inherit those; it starts beside the caller, who does not wait for it. With
     ``lossless`` the loop waits when that process falls behind, and the same calls give the same bytes.
-    Raises RecordingError when ``path`` exists or cannot be created. ``now_ns`` is monotonic throughout.
+    ``now_ns`` is monotonic throughout. Raises RecordingError when ``path`` exists or cannot be created, or
+    when the clock is outside ROS time.
     """
 
     def __init__(self, path: Path, header: RunHeader, lossless: bool) -> None:
+        if not 0 <= header.epoch_offset_ns < ROS_TIME_END_NS - _LONGEST_RUN_NS:
+            raise RecordingError(
+                f"{path}: the clock is {header.epoch_offset_ns // _SECOND_NS} s after 1970; a recording's "
+                "time stamps end in January 2038: set the clock"
+            )
         self._path = path
         self._pipe = RecorderPipe(path, lossless)
         self._batch = _empty_block()
@@ -84,9 +94,14 @@ class Recorder:
         self._pipe.send(_empty_block() + msgspec.msgpack.encode(header), HEADER)
 
     def frame_received(self, frame: Frame, now_ns: int, stamp_ns: int) -> None:
-        """The core is about to receive ``frame`` at ``now_ns``; the link stamped it ``stamp_ns`` (epoch)."""
+        """The core is about to receive ``frame`` at ``now_ns``; the link stamped it ``stamp_ns`` (epoch).
+
+        A stamp outside ROS time cannot be recorded, and stands as 0.
+        """
         identifier, data, is_extended, is_remote, is_error = frame
         self._sequence += 1
+        if not 0 <= stamp_ns < ROS_TIME_END_NS:
+            stamp_ns = 0
         seconds, nanoseconds = divmod(stamp_ns, _SECOND_NS)
         self._batch += self._pack_frame(
             self._received, self._sequence & SEQUENCE_MASK, now_ns + self._epoch_offset_ns, stamp_ns,
@@ -169,6 +184,7 @@ class Recorder:
 
     def close(self, metadata: dict[str, dict[str, str]]) -> RecorderReport:
         """End the file with ``metadata`` (name to entries) and what was dropped; wait until it is whole."""
+        self._pipe.drain()
         self._hand_over_batch()
         counts = {"messages": str(self._sequence - self.dropped)}
         counts |= {f"dropped {topic}": str(count) for topic, count in self._dropped_by_topic().items()}

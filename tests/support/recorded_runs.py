@@ -1,0 +1,158 @@
+"""Runs made of given signals, and recorded; in memory where only the file counts, not the process."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from threading import Event as Waiter
+from time import monotonic
+from unittest import mock
+
+import msgspec
+
+from hil.events import AxisSignals, Cycle, Event, Severity
+from hil.frames import Frame
+from hil.life_cycle import State
+from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, RunHeader
+from hil.recording.mcap_writer import McapWriter
+from hil.recording.recorder import Recorder
+
+PERIOD_NS = 11_200_000
+PERIOD_S = PERIOD_NS * 1e-9
+EPOCH_OFFSET_NS = 1_700_000_000_000_000_000
+START_NS = 5_000_000_000
+AXES = (("vertical", "m"), ("horizontal", "m"), ("rotation", "rad"))
+RUN_HEADER = RunHeader(
+    epoch_offset_ns=EPOCH_OFFSET_NS,
+    bus="vcan0",
+    stamp_origin="kernel",
+    axes=AXES,
+    attachments={
+        "rig.toml": ("application/toml", b"[loop]\nperiod_s = 0.0112\n"),
+        "arm.dbc": ("text/plain", b""),
+    },
+    metadata={"run": {"hil": "0.1.0"}, "setpoints": {"vertical": "step:0.1@1"}},
+)
+CENTRED = AxisSignals(0.0, 0.0, 0.0, 0.0, 5.0, 5.0)
+SYNC = Frame(0x080)
+
+Signals = Callable[[float], AxisSignals]
+"""An axis' signals at t seconds of the run."""
+
+
+def following(setpoint: Callable[[float], float], position: Callable[[float], float]) -> Signals:
+    """An axis whose position is known; the valve leaves its centre by ten volts a unit of error."""
+
+    def at(t: float) -> AxisSignals:
+        r, y = setpoint(t), position(t)
+        return AxisSignals(r, y, r - y, 10.0 * (r - y), 5.0 + 10.0 * (r - y), 5.0 + 30.0 * y)
+
+    return at
+
+
+def step(size: float, at_s: float) -> Callable[[float], float]:
+    return lambda t: size if t >= at_s else 0.0
+
+
+def lag(size: float, at_s: float, tau_s: float) -> Callable[[float], float]:
+    """First order: settles to 2 % in tau ln 50, never overshoots."""
+    return lambda t: size * -math.expm1(-max(t - at_s, 0.0) / tau_s)
+
+
+TENTH_STEP = following(step(0.1, 1.0), lag(0.1, 1.0, 0.2))
+
+
+def record_periods(
+    recorder: Recorder,
+    periods: int,
+    signals: Signals = TENTH_STEP,
+    *,
+    first: int = 0,
+    state: State = State.RUNNING,
+    lateness_ns: Callable[[int], int] = lambda number: 100_000,
+    response_ns: Callable[[int], int] = lambda number: 400_000,
+) -> list[Event]:
+    """Report periods as a live shell does, all axes with the same signals; returns the recorder's news."""
+    news = []
+    for number in range(first, first + periods):
+        deadline_ns = START_NS + number * PERIOD_NS
+        wake_ns = deadline_ns + lateness_ns(number)
+        sent_ns = wake_ns + response_ns(number)
+        receive_ns = (wake_ns + sent_ns) // 2
+        recorder.deadline_called(deadline_ns, wake_ns)
+        recorder.frame_sent(SYNC, wake_ns)
+        sample = Frame(0x190, number.to_bytes(8, "little", signed=True))
+        recorder.frame_received(sample, receive_ns, receive_ns + EPOCH_OFFSET_NS - 30_000)
+        recorder.frame_sent(Frame(0x220, number.to_bytes(6, "big", signed=True)), sent_ns)
+        axes = (signals(number * PERIOD_S),) * len(AXES)
+        cycle = Cycle(number, deadline_ns, wake_ns, receive_ns, state, True, axes)
+        recorder.cycle(cycle, receive_ns + 50_000, sent_ns)
+        event = recorder.hand_over()
+        if event is not None:
+            news.append(event)
+    return news
+
+
+def record_run(
+    path: Path, periods: int, signals: Signals = TENTH_STEP, header: RunHeader = RUN_HEADER
+) -> None:
+    """A whole run in memory: three periods armed, ``periods`` running, three armed."""
+    with in_memory(path):
+        recorder = Recorder(path, header, lossless=True)
+    recorder.operated("start", START_NS - 4 * PERIOD_NS)
+    record_periods(recorder, 3, lambda t: CENTRED, first=-3, state=State.ARMED)
+    recorder.event(Event(Severity.INFO, "life cycle", "armed -> running (start)"), START_NS)
+    record_periods(recorder, periods, signals)
+    recorder.operated("stop", START_NS + periods * PERIOD_NS)
+    record_periods(recorder, 3, lambda t: CENTRED, first=periods, state=State.ARMED)
+    recorder.close({"ending": {"reason": "completed"}})
+
+
+def in_memory(path: Path) -> mock._patch[Callable[..., _WriterPipe]]:
+    """Within this, recorders write to ``path`` themselves when closed: the same bytes, without a process."""
+    return mock.patch("hil.recording.recorder.RecorderPipe", _WriterPipe)
+
+
+class _WriterPipe:
+    """Stands for :class:`hil.recording.pipe.RecorderPipe`."""
+
+    has_backlog = False
+    failure = None
+
+    def __init__(self, path: Path, lossless: bool) -> None:
+        self.dropped: Counter[int] = Counter()
+        self.news: list[Event] = []
+        self._path = path
+        self._written: list[bytes] = []
+
+    def send(self, block: bytearray, kind: bytes) -> None:
+        content = bytes(block[BLOCK_HEADER.size :])
+        if kind == HEADER:
+            self._writer = McapWriter(self._written.append, msgspec.msgpack.decode(content, type=RunHeader))
+        elif kind == BATCH:
+            self._writer.add_batch(content)
+        elif kind == END:
+            self._writer.finish(msgspec.msgpack.decode(content, type=dict[str, dict[str, str]]))
+
+    def push(self) -> None: ...
+
+    def drain(self) -> None: ...
+
+    def close(self) -> None:
+        self._path.write_bytes(b"".join(self._written))
+
+
+def children_of(process_id: int) -> Sequence[int]:
+    """Process ids of the children."""
+    return [int(text) for text in Path(f"/proc/{process_id}/task/{process_id}/children").read_text().split()]
+
+
+def wait_until(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
+    """Return as soon as ``condition`` holds; fail when it does not within ``timeout_s``."""
+    deadline_s = monotonic() + timeout_s
+    waiter = Waiter()
+    while not condition():
+        assert monotonic() < deadline_s, f"{what} did not come about within {timeout_s} s"
+        waiter.wait(0.01)

@@ -1,0 +1,227 @@
+"""The recorder and its process: what gets into the file, and what happens when it cannot."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+import pytest
+from support.recorded_runs import (
+    EPOCH_OFFSET_NS,
+    PERIOD_NS,
+    RUN_HEADER,
+    START_NS,
+    SYNC,
+    children_of,
+    in_memory,
+    record_periods,
+    wait_until,
+)
+
+from hil.errors import RecordingError
+from hil.events import Event, Severity
+from hil.frames import Frame
+from hil.recording import pipe
+from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
+from hil.recording.recorder import LINK_FAILED, Recorder, RecorderReport
+
+
+@contextmanager
+def recorder_process(path: Path, *, lossless: bool) -> Iterator[tuple[Recorder, int]]:
+    """A recorder, and the id of its process, which does not outlive the test."""
+    before = set(children_of(os.getpid()))
+    recorder = Recorder(path, RUN_HEADER, lossless)
+    (process_id,) = set(children_of(os.getpid())) - before
+    try:
+        yield recorder, process_id
+    finally:
+        if process_id in children_of(os.getpid()):
+            os.kill(process_id, signal.SIGKILL)
+            recorder.close({})
+
+
+def test_what_is_reported_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    recorder = Recorder(path, RUN_HEADER, lossless=False)
+    received = Frame(0x190, b"\x01\x02\x03\x04\x05\x06\x07")
+    unusual = [
+        Frame(0x1ABCDEF0, b"\xff" * 8, is_extended=True),
+        Frame(0x701, is_remote=True),
+        Frame(0x04, bytes(8), is_error=True),
+    ]
+    recorder.operated("arm", START_NS)
+    recorder.deadline_called(START_NS + 1, START_NS + 2)
+    recorder.frame_sent(SYNC, START_NS + 3)
+    recorder.frame_received(received, START_NS + 5, EPOCH_OFFSET_NS + START_NS + 4)
+    for frame in unusual:
+        recorder.frame_received(frame, START_NS + 6, EPOCH_OFFSET_NS + START_NS + 6)
+    recorder.event(Event(Severity.FATAL, "adc", "no good sample for 3 periods — limit 3"), START_NS + 7)
+    recorder.operated(LINK_FAILED + "Network is down", START_NS + 8)
+    report = recorder.close({"ending": {"reason": "link"}})
+
+    recording = Recording(path)
+    assert report == RecorderReport(9, {}, path, None)
+    assert recording.complete
+    assert list(recording.calls()) == [
+        Operated(START_NS, "arm"),
+        DeadlineCalled(START_NS + 2, START_NS + 1),
+        FrameSent(START_NS + 3, SYNC),
+        FrameReceived(START_NS + 5, received, EPOCH_OFFSET_NS + START_NS + 4),
+        *(FrameReceived(START_NS + 6, frame, EPOCH_OFFSET_NS + START_NS + 6) for frame in unusual),
+        Operated(START_NS + 8, "link failed: Network is down"),
+    ]
+    assert recording.events() == [
+        (START_NS + 7, Event(Severity.FATAL, "adc", "no good sample for 3 periods — limit 3"))
+    ]
+    assert recording.attachments == {name: content for name, (_, content) in RUN_HEADER.attachments.items()}
+    assert recording.metadata == RUN_HEADER.metadata | {
+        "recording": {"epoch_offset_ns": str(EPOCH_OFFSET_NS), "bus": "vcan0", "stamp_origin": "kernel"},
+        "ending": {"reason": "link"},
+        "recorder": {"messages": "9"},
+    }
+
+
+def test_the_same_calls_give_the_same_bytes(tmp_path: Path) -> None:
+    files = [tmp_path / "first.mcap", tmp_path / "second.mcap", tmp_path / "in-memory.mcap"]
+    for path in files[:2]:
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+        record_periods(recorder, 1000)
+        recorder.close({})
+    with in_memory(files[2]):
+        recorder = Recorder(files[2], RUN_HEADER, lossless=True)
+    record_periods(recorder, 1000)
+    recorder.close({})
+    first, *others = (path.read_bytes() for path in files)
+    assert len(first) > 100_000
+    assert all(other == first for other in others)
+
+
+def test_the_loops_side_imports_nothing_slow() -> None:
+    program = "import sys, hil.recording.recorder; print({'numpy', 'mcap', 'zstandard'} & set(sys.modules))"
+    finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert finished.stdout.strip() == "set()"
+
+
+def test_an_existing_file_is_refused_and_kept(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_text("precious")
+    with pytest.raises(RecordingError, match=r"run\.mcap: exists already"):
+        Recorder(path, RUN_HEADER, lossless=False)
+    assert path.read_text() == "precious"
+
+
+def test_an_unwritable_path_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"cannot be created: No such file or directory"):
+        Recorder(tmp_path / "absent" / "run.mcap", RUN_HEADER, lossless=False)
+
+
+@pytest.mark.parametrize("epoch_offset_ns", [-1, 2**31 * 10**9])
+def test_a_clock_out_of_ros_time_is_refused(tmp_path: Path, epoch_offset_ns: int) -> None:
+    header = msgspec.structs.replace(RUN_HEADER, epoch_offset_ns=epoch_offset_ns)
+    with pytest.raises(RecordingError, match="set the clock"):
+        Recorder(tmp_path / "run.mcap", header, lossless=False)
+    assert not (tmp_path / "run.mcap").exists()
+
+
+def test_signals_for_the_gateway_do_not_end_the_recorder(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder_process(path, lossless=False) as (recorder, process_id):
+        wait_until(lambda: path.stat().st_size > 0, "the header")
+        record_periods(recorder, 50)
+        for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(process_id, signum)
+        record_periods(recorder, 50, first=50)
+        report = recorder.close({})
+    assert report.failure is None
+    assert len(Recording(path).timing()) == 100
+
+
+def test_what_was_handed_over_is_written_though_nothing_follows(tmp_path: Path) -> None:
+    """The loop may hang after it: a chunk does not wait for the next one for ever."""
+    path = tmp_path / "run.mcap"
+    with recorder_process(path, lossless=False) as (recorder, _):
+        record_periods(recorder, 2)
+        handed_over = 2 + 200_000_000 // PERIOD_NS
+        record_periods(recorder, handed_over - 1, first=2)
+        wait_until(lambda: path.stat().st_size > 0, "the header")
+        wait_until(lambda: Recording(path).counts.get("/gateway/cycle", 0) >= handed_over - 2, "a chunk")
+        recorder.close({})
+    assert len(Recording(path).timing()) == handed_over + 1
+
+
+def test_a_recorder_that_falls_behind_costs_messages_that_are_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipe, "BACKLOG_BYTES", 100_000)
+    path = tmp_path / "run.mcap"
+    with recorder_process(path, lossless=False) as (recorder, process_id):
+        os.kill(process_id, signal.SIGSTOP)
+        news = record_periods(recorder, 3000)
+        os.kill(process_id, signal.SIGCONT)
+        dropped = recorder.dropped
+        report = recorder.close({})
+    recording = Recording(path)
+    assert [event.severity for event in news] == [Severity.WARNING]
+    assert "dropped from here on" in news[0].text
+    assert report.failure is None
+    assert dropped == sum(report.dropped.values()) > 1000
+    for topic, count in recording.counts.items():
+        told = (
+            6000 if topic == "/can/tx" else 0 if topic in ("/gateway/events", "/gateway/operator") else 3000
+        )
+        assert count + report.dropped.get(topic, 0) == told, topic
+    assert recording.metadata["recorder"] == {"messages": str(report.messages)} | {
+        f"dropped {topic}": str(count) for topic, count in report.dropped.items()
+    }
+    with pytest.raises(RecordingError, match="dropped while recording"):
+        list(recording.calls())
+
+
+def test_lossless_waits_instead_of_dropping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipe, "BACKLOG_BYTES", 0)
+    monkeypatch.setattr(pipe, "PIPE_BYTES", 4096)
+    recorder = Recorder(tmp_path / "run.mcap", RUN_HEADER, lossless=True)
+    assert record_periods(recorder, 2000) == []
+    assert recorder.close({}).dropped == {}
+    assert len(Recording(tmp_path / "run.mcap").timing()) == 2000
+
+
+@pytest.mark.parametrize("lossless", [False, True])
+def test_when_the_recorder_process_dies_the_loop_goes_on_and_says_so(tmp_path: Path, lossless: bool) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder_process(path, lossless=lossless) as (recorder, process_id):
+        wait_until(lambda: path.stat().st_size > 0, "the header")
+        os.kill(process_id, signal.SIGKILL)
+        os.waitid(os.P_PID, process_id, os.WEXITED | os.WNOWAIT)
+        news = record_periods(recorder, 500)
+        report = recorder.close({})
+    assert [(event.severity, event.source) for event in news] == [(Severity.ERROR, "recorder")]
+    assert report.failure == "the recorder process was killed"
+    assert report.failure in news[0].text
+    assert str(path) in news[0].text
+    assert sum(report.dropped.values()) == 500 * 8
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, hard))
+    try:
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    news = record_periods(recorder, 5000)
+    report = recorder.close({})
+    assert [event.severity for event in news] == [Severity.ERROR]
+    assert report.failure is not None
+    assert "File too large" in report.failure
+    recording = Recording(path)
+    assert not recording.complete
+    assert 0 < len(recording.timing()) < 5000
