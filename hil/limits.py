@@ -11,11 +11,10 @@ import math
 from collections.abc import Sequence
 
 from hil.frames import Frame
-from hil.rig import Valve
+from hil.rig import VOLTS_PER_COUNT, Valve
 from hil.wire import codec
 from hil.wire.crc8 import crc8_j1850
 
-VOLTS_PER_COUNT = 10.0 / 32768
 UNUSED_CHANNEL_V = 5.0
 
 

@@ -6,6 +6,7 @@ here: reading the disk (the shells and commands do). The commented example is ``
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Literal
 
 import msgspec
@@ -13,8 +14,10 @@ import msgspec
 from hil.documents import Document, from_toml
 from hil.errors import DocumentError
 
-WIRE_RANGE_V = (0.0, 32767 * 10.0 / 32768)
-"""What an analogue channel of the DBC can carry, in volts."""
+VOLTS_PER_COUNT = 10.0 / 32768
+"""Resolution of an analogue channel of the DBC, CiA 401's left-adjusted INTEGER16."""
+HIGHEST_WIRE_V = 32767 * VOLTS_PER_COUNT
+"""The most that an analogue channel of the DBC can carry."""
 
 Periods = Annotated[int, msgspec.Meta(ge=1, le=1000)]
 Channel = Annotated[int, msgspec.Meta(ge=1, le=3)]
@@ -131,7 +134,17 @@ def read_rig(text: str, source: str) -> Rig:
     Raises DocumentError naming file, key, value and limit.
     """
     rig = from_toml(text, Rig, source)
+    if rig.dac.heartbeat_timeout_periods <= rig.gateway.heartbeat_periods:
+        raise DocumentError(
+            f"{source}: dac.heartbeat_timeout_periods: {rig.dac.heartbeat_timeout_periods} does not exceed "
+            f"gateway.heartbeat_periods {rig.gateway.heartbeat_periods}: the board would miss every heartbeat"
+        )
     for name, axis in rig.axes.items():
+        if re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is None:
+            raise DocumentError(
+                f"{source}: axes: {name!r} is no name for an axis: a letter, then letters, digits or _ "
+                "(it names files and topics)"
+            )
         _check_axis(axis, f"{source}: axes.{name}")
     for part in ("potentiometer", "valve"):
         _check_channels(rig, part, source)
@@ -140,19 +153,19 @@ def read_rig(text: str, source: str) -> Rig:
 
 def _check_axis(axis: Axis, where: str) -> None:
     valve, pot = axis.valve, axis.potentiometer
-    lowest, highest = WIRE_RANGE_V
-    if not lowest <= valve.min_v < valve.centre_v < valve.max_v:
+    for part, max_v in (("valve", valve.max_v), ("potentiometer", pot.max_v)):
+        if max_v > HIGHEST_WIRE_V:
+            raise DocumentError(
+                f"{where}.{part}.max_v: {max_v} V exceeds {HIGHEST_WIRE_V:.5f} V, the most that a frame "
+                "can carry (arm.dbc)"
+            )
+    if not valve.min_v + VOLTS_PER_COUNT <= valve.centre_v <= valve.max_v - VOLTS_PER_COUNT:
         raise DocumentError(
-            f"{where}.valve: min_v < centre_v < max_v does not hold for "
-            f"{valve.min_v} V, {valve.centre_v} V, {valve.max_v} V"
+            f"{where}.valve.centre_v: {valve.centre_v} V is not between min_v {valve.min_v} V and "
+            f"max_v {valve.max_v} V"
         )
     if not pot.min_v < pot.max_v:
         raise DocumentError(f"{where}.potentiometer: min_v {pot.min_v} V is not under max_v {pot.max_v} V")
-    if pot.max_v > highest:
-        raise DocumentError(
-            f"{where}.potentiometer.max_v: {pot.max_v} V exceeds {highest:.4f} V, the most that "
-            "TPDO1_ADC can carry (arm.dbc)"
-        )
     if pot.y_at_0v == pot.y_at_10v:
         raise DocumentError(f"{where}.potentiometer: y_at_0v and y_at_10v are both {pot.y_at_0v}")
     if not axis.min_y < axis.max_y:
