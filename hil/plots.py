@@ -18,7 +18,7 @@ from hil.events import Event, Severity
 from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
 
-BLUE, VERMILION, GREY = "#0072B2", "#D55E00", "#666666"
+BLUE, GREEN, VERMILION, GREY = "#0072B2", "#009E73", "#D55E00", "#666666"
 """From Okabe and Ito's palette, told apart by colour-blind readers."""
 PANEL_WIDTH_IN, HEIGHT_IN, DPI = 5.0, 5.6, 130
 LABEL_IN_PER_LETTER = 0.075
@@ -69,7 +69,7 @@ def _draw_axis(upper: Axes, lower: Axes, rows: Rows, start_ns: int, unit: str) -
     upper.step(times_s, rows["setpoint"], where="post", color="black", linewidth=1.0, label="setpoint")
     upper.plot(times_s, rows["position"], color=BLUE, linewidth=1.4, label="position")
     upper.set_ylabel(f"position ({unit})")
-    lower.step(times_s, rows["command_v"], where="post", color=VERMILION, linewidth=1.0)
+    lower.step(times_s, rows["command_v"], where="post", color=GREEN, linewidth=1.0)
     lower.set_ylabel("valve voltage (V)")
     lower.set_xlabel("time (s)")
     for panel in (upper, lower):

@@ -71,6 +71,7 @@ def record_periods(
     *,
     first: int = 0,
     state: State = State.RUNNING,
+    axes: int = len(AXES),
     lateness_ns: Callable[[int], int] = lambda number: 100_000,
     response_ns: Callable[[int], int] = lambda number: 400_000,
 ) -> list[Event]:
@@ -86,8 +87,8 @@ def record_periods(
         sample = Frame(0x190, number.to_bytes(8, "little", signed=True))
         recorder.frame_received(sample, receive_ns, receive_ns + EPOCH_OFFSET_NS - 30_000)
         recorder.frame_sent(Frame(0x220, number.to_bytes(6, "big", signed=True)), sent_ns)
-        axes = (signals(number * PERIOD_S),) * len(AXES)
-        cycle = Cycle(number, deadline_ns, wake_ns, receive_ns, state, True, axes)
+        same = (signals(number * PERIOD_S),) * axes
+        cycle = Cycle(number, deadline_ns, wake_ns, receive_ns, state, True, same)
         recorder.cycle(cycle, receive_ns + 50_000, sent_ns)
         event = recorder.hand_over()
         if event is not None:
