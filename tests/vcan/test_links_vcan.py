@@ -1,0 +1,108 @@
+"""SocketCAN passes the links' contract, and tells what the kernel tells."""
+
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.link_contract import KINDS, ErrorFramesToo, LinkContract, Pair, arrived
+
+from hil.errors import LinkError
+from hil.frames import Frame
+from hil.links import open_link
+
+RECEIVERS = Path("/proc/net/can/rcvlist_all")
+
+
+def wait_for_receivers(count: int) -> None:
+    deadline = time.monotonic() + 5
+    while RECEIVERS.read_text().count(" vcan0 ") < count:
+        assert time.monotonic() < deadline, RECEIVERS.read_text()
+
+
+def ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True)
+
+
+class TestSocketCan(LinkContract, ErrorFramesToo):
+    origin = "kernel"
+
+    @pytest.fixture
+    def pair(self) -> Iterator[Pair]:
+        with open_link("vcan0") as one, open_link("socketcan:vcan0") as other:
+            yield one, other
+
+    def test_frames_lost_in_a_full_queue_are_counted(self, pair: Pair) -> None:
+        sender, receiver = pair
+        with socket.socket(fileno=socket.dup(receiver.fileno())) as same:
+            same.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 0)
+        for number in range(100):
+            sender.send(Frame(number))
+        heard = 0
+        while receiver.receive(0):
+            heard += 1
+        assert 0 < heard < 100
+        assert receiver.dropped() == 100 - heard
+
+    def test_candump_reads_what_a_link_sends(self, pair: Pair) -> None:
+        with subprocess.Popen(
+            ["candump", "-L", "-n", str(len(KINDS)), "vcan0"], stdout=subprocess.PIPE, text=True
+        ) as candump:
+            assert candump.stdout is not None
+            wait_for_receivers(3)
+            for frame in KINDS:
+                pair[0].send(frame)
+            seen = [line.split()[-1] for line in candump.stdout]
+        assert seen == [str(frame) for frame in KINDS]
+
+    def test_a_link_reads_what_cansend_sends(self, pair: Pair) -> None:
+        for frame in KINDS:
+            subprocess.run(["cansend", "vcan0", str(frame)], check=True)
+            assert arrived(pair[0]) == frame
+
+
+class TestInterface:
+    @pytest.fixture
+    def interface(self) -> Iterator[str]:
+        ip("link", "add", "dev", "vcan7", "type", "vcan")
+        ip("link", "set", "vcan7", "up")
+        yield "vcan7"
+        subprocess.run(["ip", "link", "delete", "vcan7"], stderr=subprocess.DEVNULL)
+
+    def test_going_down_is_a_link_error_with_the_remedy(self, interface: str) -> None:
+        with open_link(interface) as link:
+            ip("link", "set", interface, "down")
+            with pytest.raises(LinkError) as caught:
+                link.receive(5)
+            assert str(caught.value) == (
+                "vcan7: cannot receive: Network is down; bring it up: sudo ip link set vcan7 up"
+            )
+            with pytest.raises(LinkError, match="cannot send: Network is down"):
+                link.send(Frame(1))
+
+    def test_being_down_is_a_link_error_with_the_remedy(self, interface: str) -> None:
+        ip("link", "set", interface, "down")
+        with pytest.raises(LinkError, match="cannot be opened: Network is down; bring it up"):
+            open_link(interface)
+
+    def test_disappearing_is_a_link_error(self, interface: str) -> None:
+        with open_link(interface) as link:
+            ip("link", "delete", interface)
+            with pytest.raises(LinkError, match="cannot receive"):
+                link.receive(5)
+            with pytest.raises(LinkError, match="cannot send"):
+                link.send(Frame(1))
+
+    def test_missing_says_how_to_make_it(self) -> None:
+        with pytest.raises(LinkError) as caught:
+            open_link("vcan9")
+        assert str(caught.value) == (
+            "vcan9: there is no interface vcan9; make it: sudo ip link add dev vcan9 type vcan && "
+            "sudo ip link set vcan9 up; or run the command under `hil vcan -- …`"
+        )
+
+    def test_of_another_kind_is_a_link_error(self) -> None:
+        with pytest.raises(LinkError, match="lo: cannot be opened: No such device"):
+            open_link("lo")
