@@ -36,3 +36,7 @@ class RigUnavailableError(HilError):
 
 class EnvironmentLackError(HilError):
     """The machine lacks something that a command needs (a kernel module, a right, a program)."""
+
+
+class SimulationError(HilError):
+    """A simulated plant has left what its model can stand for."""

@@ -1,0 +1,224 @@
+"""The simulated arm: valve voltages and time in, potentiometer voltages out.
+
+Lives here: what happens at an instant (commands reach the valves, conditions change, readings are taken).
+What happens in between is in ``dynamics.c``. No clock, no I/O; the same seed, calls and changes give the same
+readings to the bit.
+
+Sound takes its time through the tube from valve to cylinder. The command is delayed for it, not the flow, so
+that the flow stays a function of the present pressures.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from ctypes import byref
+from functools import partial
+from heapq import heappop, heappush
+from random import Random
+from typing import Final, NamedTuple
+
+from firmware_sim.arm import native
+from firmware_sim.arm.conditions import (
+    AnyChange,
+    BrokenWire,
+    FrictionChange,
+    Leak,
+    Payload,
+    StuckSpool,
+    SupplyPressure,
+    Temperature,
+)
+from firmware_sim.arm.parameters import (
+    AXES,
+    GAS_J_KG_K,
+    HEAT_RATIO,
+    ArmParameters,
+    absolute_pa,
+    kelvin,
+)
+from firmware_sim.arm.pins import PotentiometerOutput, ValveInput
+from hil.errors import SimulationError
+
+REST_V: Final = (5.0, 5.0, 5.0)
+REST_NS: Final = 10_000_000_000
+"""Before its time 0 the arm has stood for so long with ``REST_V`` on its valves."""
+
+
+class AxisView(NamedTuple):
+    """One axis as it is, before any sensor. Position and velocity in the axis' unit."""
+
+    position: float
+    velocity: float
+    spool: float
+    """-1 to 1, a fraction of full travel."""
+    pressure_pa: tuple[float, float]
+    """Absolute, in chambers 1 and 2."""
+
+
+class ArmView(NamedTuple):
+    """The arm at an instant of its own time."""
+
+    time_ns: int
+    axes: tuple[AxisView, ...]
+    """Vertical, horizontal, rotation."""
+    supply_pa: float
+    payload_kg: float
+    supplied_kg: float
+    """Air that came through the regulator since the arm was built."""
+
+
+class Arm:
+    """A ``firmware_sim.plant.Plant``. Channels: vertical, horizontal, rotation.
+
+    ``seed`` is that of the potentiometers' noise; ``changes`` happen as the arm's own time reaches theirs.
+    Raises EnvironmentLackError when the dynamics are not compiled.
+    """
+
+    def __init__(self, parameters: ArmParameters, *, seed: int, changes: Iterable[AnyChange] = ()) -> None:
+        self.parameters = parameters
+        self._dynamics = native.Dynamics()
+        self._conditions, self._state = _charged(parameters)
+        self._arguments = byref(native.pack(parameters)), byref(self._conditions), byref(self._state)
+        self._axes = tuple(self._state.axis)
+        self._travel = parameters.travel
+        self._step_s = parameters.step_s
+        random = Random(seed)
+        self._potentiometers = [
+            (PotentiometerOutput(axis.potentiometer, random), state, travel)
+            for axis, state, travel in zip(parameters.ordered, self._axes, self._travel, strict=True)
+        ]
+        sound_m_s = math.sqrt(HEAT_RATIO * GAS_J_KG_K * self._conditions.air_k)
+        self._inputs = [
+            (ValveInput(axis.valve), round(1e9 * axis.cylinder.tube_m / sound_m_s), conditions)
+            for axis, conditions in zip(parameters.ordered, self._conditions.axis, strict=True)
+        ]
+        self._agenda: list[tuple[int, int, Callable[[], None]]] = []
+        self._entries = 0
+        self._reading: Sequence[float] | None = None
+        self.time_ns = -REST_NS
+        """The arm's own time, 0 at its start."""
+        self.advance(REST_NS, REST_V)
+        for change in changes:
+            self.schedule(change)
+
+    def schedule(self, change: AnyChange) -> None:
+        """Have ``change`` happen when the arm's time reaches its ``at_s``; at once when that has passed."""
+        self._enter(round(change.at_s * 1e9), partial(self.apply, change))
+
+    def advance(self, duration_ns: int, valve_v: Sequence[float]) -> None:
+        """Hold the valve voltages (V, by channel) for ``duration_ns`` from now.
+
+        Raises SimulationError when a voltage is no number, or the state leaves what an arm can be in.
+        """
+        for (valve, delay_ns, conditions), volts in zip(self._inputs, valve_v, strict=True):
+            if volts != valve.held_v:
+                command = partial(setattr, conditions, "spool_command", valve.spool_command(volts))
+                self._enter(self.time_ns + delay_ns, command)
+        end_ns = self.time_ns + duration_ns
+        agenda = self._agenda
+        while True:
+            while agenda and agenda[0][0] <= self.time_ns:
+                heappop(agenda)[2]()
+            if self.time_ns == end_ns:
+                break
+            self._integrate(min(end_ns, agenda[0][0]) if agenda else end_ns)
+
+    def potentiometer_v(self) -> Sequence[float]:
+        """The potentiometers' voltages now (V, by channel), 0 to 10 V; the same when read again at once."""
+        if self._reading is None:
+            self._reading = [
+                potentiometer.volts(state.position_m * travel)
+                for potentiometer, state, travel in self._potentiometers
+            ]
+        return self._reading
+
+    def view(self) -> ArmView:
+        """The arm as it is now."""
+        state = self._state
+        axes = tuple(
+            AxisView(
+                axis.position_m * travel,
+                axis.velocity_m_s * travel,
+                axis.spool,
+                (axis.pressure_pa[0], axis.pressure_pa[1]),
+            )
+            for axis, travel in zip(self._axes, self._travel, strict=True)
+        )
+        return ArmView(self.time_ns, axes, state.supply_pa, self._conditions.payload_kg, state.supplied_kg)
+
+    def apply(self, change: AnyChange) -> None:
+        """Have ``change`` happen now, whatever its ``at_s``."""
+        match change:
+            case Payload(mass_kg=mass_kg):
+                self._carry(mass_kg)
+            case SupplyPressure(gauge_kpa=gauge_kpa):
+                self._conditions.regulator_pa = absolute_pa(gauge_kpa, self.parameters.supply)
+            case Temperature(celsius=celsius):
+                self._conditions.air_k = kelvin(celsius)
+            case FrictionChange(axis=name, factor=factor):
+                self._conditions.axis[AXES.index(name)].friction_factor = factor
+            case Leak(axis=name, chamber=chamber, conductance_m3_s_pa=conductance):
+                self._conditions.axis[AXES.index(name)].leak_m3_s_pa[chamber - 1] = conductance
+            case StuckSpool(axis=name, stuck=stuck):
+                self._conditions.axis[AXES.index(name)].spool_free = 0.0 if stuck else 1.0
+            case BrokenWire(axis=name, broken=broken):
+                self._potentiometers[AXES.index(name)][0].broken = broken
+        self._reading = None
+
+    def _enter(self, due_ns: int, action: Callable[[], None]) -> None:
+        self._entries += 1
+        heappush(self._agenda, (due_ns, self._entries, action))
+
+    def _carry(self, payload_kg: float) -> None:
+        """A payload picked up was at rest and takes momentum; one dropped takes its own along."""
+        before = self._inertias()
+        self._conditions.payload_kg = payload_kg
+        for axis, old, new in zip(self._state.axis, before, self._inertias(), strict=True):
+            axis.velocity_m_s *= min(old / new, 1.0)
+
+    def _inertias(self) -> tuple[float, float, float]:
+        body, payload_kg = self.parameters.body, self._conditions.payload_kg
+        reach_m = body.reach_m + self._state.axis[1].position_m
+        return (
+            body.vertical_kg + body.horizontal_kg + payload_kg,
+            body.horizontal_kg + payload_kg,
+            body.base_kg_m2 + body.horizontal_kg * reach_m**2 + payload_kg * (reach_m + body.tip_m) ** 2,
+        )
+
+    def _integrate(self, until_ns: int) -> None:
+        duration_s = (until_ns - self.time_ns) * 1e-9
+        steps = math.ceil(duration_s / self._step_s * (1.0 - 1e-9))
+        fault = self._dynamics.advance(*self._arguments, duration_s, steps)
+        self.time_ns = until_ns
+        self._reading = None
+        if fault:
+            raise SimulationError(self._complaint(fault))
+
+    def _complaint(self, fault: int) -> str:
+        when = f"the simulated arm diverged before {self.time_ns * 1e-9:.3f} s of its time"
+        remedy = f"step_s {self.parameters.step_s} s of the arm file may be too long for its stiffest part"
+        if fault > len(AXES):
+            return f"{when}: supply pressure {self._state.supply_pa:.4g} Pa; {remedy}"
+        axis = self._state.axis[fault - 1]
+        return (
+            f"{when}: {AXES[fault - 1]} at {axis.position_m:.4g} m of its cylinder, "
+            f"{axis.velocity_m_s:.4g} m/s, chambers at {axis.pressure_pa[0]:.4g} and "
+            f"{axis.pressure_pa[1]:.4g} Pa; {remedy}"
+        )
+
+
+def _charged(parameters: ArmParameters) -> tuple[native.Conditions, native.State]:
+    """Nominal conditions; the arm at mid-stroke, at rest, air in the chambers."""
+    supply = parameters.supply
+    pressure_pa = absolute_pa(supply.gauge_kpa, supply)
+    conditions = native.Conditions(regulator_pa=pressure_pa, air_k=kelvin(supply.temperature_c))
+    state = native.State(supply_pa=pressure_pa)
+    chamber_pa = 0.5 * (pressure_pa + absolute_pa(0.0, supply))
+    for c, s, axis in zip(conditions.axis, state.axis, parameters.ordered, strict=True):
+        c.spool_free = c.friction_factor = 1.0
+        volume_m3 = axis.cylinder.dead_volume_m3 + 0.5 * axis.cylinder.stroke_m * axis.cylinder.area_m2
+        for chamber in range(2):
+            s.pressure_pa[chamber] = chamber_pa
+            s.air_kg[chamber] = chamber_pa * volume_m3 / (GAS_J_KG_K * conditions.air_k)
+    return conditions, state

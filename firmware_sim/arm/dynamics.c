@@ -1,0 +1,298 @@
+/* The pneumatic arm's dynamics: three coupled axes, integrated over a stretch in which no command changes.
+ *
+ * Lives here: the equations of motion and their time step. Does not live here: commands and their delays, what
+ * changes during a run, sensors (arm.py, conditions.py), the checks of parameters (parameters.py). The structs
+ * are mirrored, field for field, in native.py.
+ *
+ * Every axis is a rodless double-acting cylinder in its own coordinate x: metres, 0 at mid-stroke, rising as
+ * chamber 1 fills. The rotation's cylinder turns the arm by theta = x / pulley radius. Pressures are absolute.
+ *
+ * Sources. Rigid body: Lagrange's equations, written out in parameters.py. Orifices: ISO 6358-1, made linear
+ * where the pressures nearly meet. Chambers: the first law for an open volume with heat through its wall, as in
+ * Richer and Hurmuzlu, J. Dyn. Sys. Meas. Control 122 (2000). Friction: LuGre, Canudas de Wit, Olsson, Astrom
+ * and Lischinsky, IEEE Trans. Autom. Control 40 (1995), with a rational Stribeck curve.
+ *
+ * Time step: a leapfrog. Velocities stand half a step after positions and pressures; spool and air take the
+ * trapezoidal rule (the air linearised at the start of the step), the velocity the midpoint rule with friction
+ * implicit in it.
+ *
+ * Only + - * / and sqrt are used, which IEEE 754 rounds in one way, so a run gives the same bytes on every
+ * machine. Never compile this with -ffast-math, nor without -ffp-contract=off.
+ */
+
+#include <math.h>
+
+enum { VERTICAL, HORIZONTAL, ROTATION, AXES };
+enum { CHAMBERS = 2 };
+
+struct axis_parameters {
+    double area_m2, half_stroke_m, dead_volume_m3, heat_w_k;
+    double conductance_m3_s_pa, critical_ratio, overlap, clearance, spool_rad_s, spool_damping;
+    double coulomb_n, static_n, stribeck_m_s, bristle_n_m, bristle_n_s_m, viscous_n_s_m, per_moment_1_n_m;
+    double spring_n_m, spring_centre_n, stop_n_m, stop_n_s_m;
+};
+
+struct arm_parameters {
+    struct axis_parameters axis[AXES];
+    double vertical_kg, horizontal_kg, base_kg_m2, reach_m, tip_m, pulley_m;
+    double supply_m3, regulator_kg_s_pa, regulator_max_kg_s, regulator_relief_kg_s, atmosphere_pa;
+};
+
+struct axis_conditions {
+    double spool_command; /* -1 to 1, delayed and with play already */
+    double spool_free;    /* 1, or 0 while the spool is stuck */
+    double friction_factor;
+    double leak_m3_s_pa[CHAMBERS];
+};
+
+struct arm_conditions {
+    struct axis_conditions axis[AXES];
+    double payload_kg, regulator_pa, air_k;
+};
+
+struct axis_state {
+    double spool, spool_rate_1_s;
+    double position_m, velocity_m_s, bristle_m;
+    double pressure_pa[CHAMBERS], air_kg[CHAMBERS];
+};
+
+struct arm_state {
+    struct axis_state axis[AXES];
+    double supply_pa;
+    double supplied_kg, exhausted_kg; /* air since the start */
+};
+
+static const double HEAT_RATIO = 1.4, GAS_J_KG_K = 287.05, GRAVITY_M_S2 = 9.80665;
+static const double REFERENCE_KG_M3 = 1.185, REFERENCE_K = 293.15; /* ISO 6358 */
+static const double LINEAR_FROM = 0.99; /* the ratio of pressures over which an orifice is linear */
+static const double MOST_PA = 1e7, MOST_M_S = 1e3;
+
+/* ---- air ---- */
+
+struct flow {
+    double kg_s, per_upstream, per_downstream; /* the derivatives in kg/(s Pa) */
+};
+
+/* ISO 6358: mass flow is conductance x upstream pressure x this, while it is choked. In kg/m3. */
+static double sonic_density(double air_k) { return REFERENCE_KG_M3 * sqrt(REFERENCE_K / air_k); }
+
+/* `choked` is conductance x sonic density, in kg/(s Pa). */
+static struct flow falling_flow(double choked, double critical, double high_pa, double low_pa)
+{
+    const double ratio = low_pa / high_pa;
+    if (ratio <= critical)
+        return (struct flow){choked * high_pa, choked, 0.0};
+    const double per_width = 1.0 / (1.0 - critical);
+    const double excess = ((ratio < LINEAR_FROM ? ratio : LINEAR_FROM) - critical) * per_width;
+    const double shape = sqrt(1.0 - excess * excess);
+    if (ratio < LINEAR_FROM) {
+        const double slope = -excess * per_width / shape;
+        return (struct flow){choked * high_pa * shape, choked * (shape - ratio * slope), choked * slope};
+    }
+    const double linear = choked * shape / (1.0 - LINEAR_FROM);
+    return (struct flow){linear * (high_pa - low_pa), linear, -linear};
+}
+
+/* Either way; the densities are sonic_density of the air on either side. */
+static struct flow orifice(double conductance, double critical, double up_pa, double up_density, double down_pa,
+                           double down_density)
+{
+    if (up_pa >= down_pa)
+        return falling_flow(conductance * up_density, critical, up_pa, down_pa);
+    const struct flow back = falling_flow(conductance * down_density, critical, down_pa, up_pa);
+    return (struct flow){-back.kg_s, -back.per_downstream, -back.per_upstream};
+}
+
+/* Conductance of one edge of the spool, rounded by the clearance. */
+static double opening(const struct axis_parameters *p, double spool)
+{
+    const double lift = spool - p->overlap;
+    return 0.5 * p->conductance_m3_s_pa * (lift + sqrt(lift * lift + p->clearance * p->clearance));
+}
+
+/* Gives the spool halfway through the step. */
+static double step_spool(const struct axis_parameters *p, const struct axis_conditions *c, struct axis_state *s, double dt)
+{
+    const double half = 0.5 * dt, turn = half * p->spool_rad_s;
+    const double pull = turn * p->spool_rad_s * (c->spool_command - s->spool);
+    const double rate = c->spool_free * (s->spool_rate_1_s + pull) / (1.0 + turn * (turn + 2.0 * p->spool_damping));
+    const double halfway = s->spool + half * rate;
+    s->spool += dt * rate;
+    s->spool_rate_1_s = 2.0 * rate - c->spool_free * s->spool_rate_1_s;
+    return halfway;
+}
+
+/* One chamber's part in the implicit step of all pressures: it rises by rise + rise_per_supply times the supply's
+ * rise. `growth` is the rate of its volume in m3/s. */
+struct chamber {
+    struct flow in, out;
+    double rise, rise_per_supply;
+};
+
+static struct chamber solve_chamber(double pressure, double air_kg, double volume, double growth, double wall_w_k,
+                                    double supply_pa, double inlet, double outlet, double critical,
+                                    double atmosphere_pa, double ambient_k, double ambient_density, double dt)
+{
+    const double k_per_pa = volume / (air_kg * GAS_J_KG_K), air_k = k_per_pa * pressure;
+    const double density = sonic_density(air_k);
+    struct chamber chamber;
+    chamber.in = orifice(inlet, critical, supply_pa, ambient_density, pressure, density);
+    chamber.out = orifice(outlet, critical, pressure, density, atmosphere_pa, ambient_density);
+    const double in_heat = HEAT_RATIO * GAS_J_KG_K * (chamber.in.kg_s >= 0.0 ? ambient_k : air_k);
+    const double out_heat = HEAT_RATIO * GAS_J_KG_K * (chamber.out.kg_s >= 0.0 ? air_k : ambient_k);
+    const double wall = (HEAT_RATIO - 1.0) * wall_w_k;
+    const double power = in_heat * chamber.in.kg_s - out_heat * chamber.out.kg_s + wall * (ambient_k - air_k) -
+                         HEAT_RATIO * pressure * growth;
+    const double decay = out_heat * chamber.out.per_upstream - in_heat * chamber.in.per_downstream + wall * k_per_pa +
+                         HEAT_RATIO * growth;
+    const double per_power = dt / (volume + 0.5 * dt * (growth + decay));
+    chamber.rise = power * per_power;
+    chamber.rise_per_supply = 0.5 * in_heat * chamber.in.per_upstream * per_power;
+    return chamber;
+}
+
+/* All chambers and the supply at once. What leaves one volume enters the next: air is conserved to rounding. */
+static void step_air(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s,
+                     const double spool[AXES], double dt)
+{
+    double regulator = arm->regulator_kg_s_pa * (c->regulator_pa - s->supply_pa);
+    double regulator_slope = -arm->regulator_kg_s_pa;
+    if (regulator > arm->regulator_max_kg_s || regulator < -arm->regulator_relief_kg_s) {
+        regulator = regulator > 0.0 ? arm->regulator_max_kg_s : -arm->regulator_relief_kg_s;
+        regulator_slope = 0.0;
+    }
+    const double ambient_density = sonic_density(c->air_k);
+    double surplus = regulator;
+    double capacity = arm->supply_m3 / (GAS_J_KG_K * c->air_k * dt) - 0.5 * regulator_slope;
+    struct chamber chambers[AXES][CHAMBERS];
+    for (int a = 0; a < AXES; a++) {
+        const struct axis_parameters *p = &arm->axis[a];
+        const struct axis_state *x = &s->axis[a];
+        const double edges[CHAMBERS] = {opening(p, spool[a]), opening(p, -spool[a])};
+        for (int i = 0; i < CHAMBERS; i++) {
+            const double side = i == 0 ? p->area_m2 : -p->area_m2;
+            const double volume = p->dead_volume_m3 + p->area_m2 * p->half_stroke_m + side * x->position_m;
+            const struct chamber chamber = solve_chamber(
+                x->pressure_pa[i], x->air_kg[i], volume, side * x->velocity_m_s, p->heat_w_k, s->supply_pa, edges[i],
+                edges[1 - i] + c->axis[a].leak_m3_s_pa[i], p->critical_ratio, arm->atmosphere_pa, c->air_k, ambient_density, dt);
+            surplus -= chamber.in.kg_s + 0.5 * chamber.in.per_downstream * chamber.rise;
+            capacity += 0.5 * (chamber.in.per_upstream + chamber.in.per_downstream * chamber.rise_per_supply);
+            chambers[a][i] = chamber;
+        }
+    }
+    const double supply_rise = surplus / capacity;
+    s->supply_pa += supply_rise;
+    s->supplied_kg += dt * (regulator + 0.5 * regulator_slope * supply_rise);
+    for (int a = 0; a < AXES; a++)
+        for (int i = 0; i < CHAMBERS; i++) {
+            const struct chamber *chamber = &chambers[a][i];
+            const double rise = chamber->rise + chamber->rise_per_supply * supply_rise;
+            const double in_kg = dt * (chamber->in.kg_s + 0.5 * chamber->in.per_upstream * supply_rise +
+                                       0.5 * chamber->in.per_downstream * rise);
+            const double out_kg = dt * (chamber->out.kg_s + 0.5 * chamber->out.per_upstream * rise);
+            s->axis[a].pressure_pa[i] += rise;
+            s->axis[a].air_kg[i] += in_kg - out_kg;
+            s->exhausted_kg += out_kg;
+        }
+}
+
+/* ---- body ---- */
+
+/* The velocity under a force that friction and end stops answer. `load` scales dry friction.
+ *
+ * The bristle, z' = v - wear z, takes the second-order L-stable Pade form of its exponential. The second pass has
+ * wear at the step's mean velocity: else dry friction would lag behind every acceleration. */
+static void step_velocity(const struct axis_parameters *p, struct axis_state *s, double mass, double force,
+                          double friction_factor, double load, double dt)
+{
+    const double inertia = 2.0 * mass / dt;
+    const double side = s->position_m > 0.0 ? 1.0 : -1.0;
+    const double depth = side * s->position_m - p->half_stroke_m;
+    double mean = s->velocity_m_s, bristle = s->bristle_m;
+    for (int pass = 0; pass < 2; pass++) {
+        const double stribeck = mean / p->stribeck_m_s;
+        const double dry = p->coulomb_n + (p->static_n - p->coulomb_n) / (1.0 + stribeck * stribeck);
+        const double wear = p->bristle_n_m * fabs(mean) / dry, worn = dt * wear;
+        const double kept = 1.0 / (1.0 + worn + 0.5 * worn * worn);
+        const double fed = dt * (1.0 + 0.5 * worn) * kept;
+        const double hold = friction_factor * (load * p->bristle_n_m - p->bristle_n_s_m * wear);
+        const double resistance = inertia + 0.5 * hold * fed + friction_factor * (p->bristle_n_s_m + p->viscous_n_s_m);
+        const double push = inertia * s->velocity_m_s + force - 0.5 * hold * (1.0 + kept) * s->bristle_m;
+        mean = push / resistance;
+        if (depth > 0.0) {
+            const double give = p->stop_n_s_m + dt * p->stop_n_m;
+            const double stopped = (push - side * p->stop_n_m * depth) / (resistance + give);
+            if (p->stop_n_m * depth + give * side * stopped > 0.0) /* a stop pushes, it never pulls */
+                mean = stopped;
+        }
+        bristle = kept * s->bristle_m + fed * mean;
+    }
+    s->bristle_m = bristle;
+    s->velocity_m_s = 2.0 * mean - s->velocity_m_s;
+}
+
+/* Eq. (1), each row divided into the axis' own cylinder coordinate. */
+static void step_body(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double dt)
+{
+    const double link = arm->horizontal_kg, payload = c->payload_kg, pulley = arm->pulley_m;
+    const double reach = arm->reach_m + s->axis[HORIZONTAL].position_m, tip = reach + arm->tip_m;
+    const double moment_kg_m = link * reach + payload * tip;
+    const double inertia_kg_m2 = arm->base_kg_m2 + link * reach * reach + payload * tip * tip;
+    const double turning_rad_s = s->axis[ROTATION].velocity_m_s / pulley;
+    const double mass[AXES] = {arm->vertical_kg + link + payload, link + payload, inertia_kg_m2 / (pulley * pulley)};
+    const double inertial_force[AXES] = {
+        -mass[VERTICAL] * GRAVITY_M_S2,
+        moment_kg_m * turning_rad_s * turning_rad_s,
+        -2.0 * moment_kg_m * s->axis[HORIZONTAL].velocity_m_s * turning_rad_s / pulley,
+    };
+    const double tilt_n_m = GRAVITY_M_S2 * (moment_kg_m - link * arm->reach_m);
+    for (int a = 0; a < AXES; a++) {
+        const struct axis_parameters *p = &arm->axis[a];
+        struct axis_state *x = &s->axis[a];
+        const double force = (x->pressure_pa[0] - x->pressure_pa[1]) * p->area_m2 + p->spring_centre_n -
+                             p->spring_n_m * x->position_m + inertial_force[a];
+        step_velocity(p, x, mass[a], force, c->axis[a].friction_factor, 1.0 + p->per_moment_1_n_m * tilt_n_m, dt);
+    }
+}
+
+/* ---- what native.py calls ---- */
+
+/* 0 while the state can be, else 1 + the axis that cannot, or 1 + AXES for the supply. NaN fails every test. */
+static int impossible(const struct arm_parameters *arm, const struct arm_state *s)
+{
+    for (int a = 0; a < AXES; a++) {
+        const struct axis_state *x = &s->axis[a];
+        const int pressures = x->pressure_pa[0] > 0.0 && x->pressure_pa[0] < MOST_PA && x->pressure_pa[1] > 0.0 &&
+                              x->pressure_pa[1] < MOST_PA && x->air_kg[0] > 0.0 && x->air_kg[1] > 0.0;
+        const double room = arm->axis[a].half_stroke_m + arm->axis[a].dead_volume_m3 / arm->axis[a].area_m2;
+        if (!(pressures && fabs(x->position_m) < room && fabs(x->velocity_m_s) < MOST_M_S && fabs(x->spool) < 2.0))
+            return 1 + a;
+    }
+    return s->supply_pa > 0.0 && s->supply_pa < MOST_PA ? 0 : 1 + AXES;
+}
+
+int arm_advance(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double duration_s,
+                int steps)
+{
+    const double dt = duration_s / steps;
+    int fault = impossible(arm, s);
+    for (int n = 0; n < steps && fault == 0; n++) {
+        double spool[AXES];
+        for (int a = 0; a < AXES; a++)
+            spool[a] = step_spool(&arm->axis[a], &c->axis[a], &s->axis[a], dt);
+        step_air(arm, c, s, spool, dt);
+        for (int a = 0; a < AXES; a++)
+            s->axis[a].position_m += dt * s->axis[a].velocity_m_s;
+        step_body(arm, c, s, dt);
+        fault = impossible(arm, s);
+    }
+    return fault;
+}
+
+/* Sizes of the three structs, so that native.py notices a library built from other sources. */
+void arm_layout(int sizes[3])
+{
+    sizes[0] = (int)sizeof(struct arm_parameters);
+    sizes[1] = (int)sizeof(struct arm_conditions);
+    sizes[2] = (int)sizeof(struct arm_state);
+}

@@ -1,0 +1,180 @@
+"""A bench for the simulated arm: 12-bit converters, experiments, and a small OE(1,3,1) estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from random import Random
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from firmware_sim.arm.arm import Arm
+from firmware_sim.arm.parameters import ArmParameters
+from hil.controller_file import Pid
+from hil.laws import ControlLaw
+
+PERIOD_S = 0.0112
+PERIOD_NS = 11_200_000
+COUNTS = 4096
+
+Array = NDArray[np.float64]
+Setpoint = Callable[[float], float]
+
+PPID = Pid(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162)
+"""Eq. (20)."""
+
+
+def quantise(volts: float) -> float:
+    """What 12-bit converters make of 0 to 10 V."""
+    return min(max(round(volts * COUNTS / 10.0), 0), COUNTS - 1) * 10.0 / COUNTS
+
+
+class Bench:
+    """An arm behind converters. Positions in the axis' unit, valve voltages as offsets from 5 V."""
+
+    def __init__(self, parameters: ArmParameters, *, seed: int = 1, **arguments: object) -> None:
+        self.parameters = parameters
+        self.arm = Arm(parameters, seed=seed, **arguments)  # type: ignore[arg-type]
+
+    def read(self) -> list[float]:
+        tracks = (axis.potentiometer for axis in self.parameters.ordered)
+        return [
+            track.y_at_0v + (track.y_at_10v - track.y_at_0v) * quantise(volts) / 10.0
+            for track, volts in zip(tracks, self.arm.potentiometer_v(), strict=True)
+        ]
+
+    def hold(self, offsets_v: Sequence[float]) -> None:
+        """One period."""
+        self.arm.advance(PERIOD_NS, [quantise(5.0 + offset) for offset in offsets_v])
+
+
+def prbs(samples: int, hold: int, seed: int) -> Array:
+    """Plus and minus one, changing at most every ``hold`` samples."""
+    random = Random(seed)
+    values = [random.choice((-1.0, 1.0)) for _ in range(-(-samples // hold))]
+    return np.repeat(values, hold)[:samples]
+
+
+def excite(
+    parameters: ArmParameters, axis: int, amplitude_v: float, *, seed: int, duration_s: float = 60.0
+) -> tuple[Array, Array]:
+    """Centre an axis by a slow loop, then excite it in open loop. Offsets in volts, positions in its unit."""
+    bench = Bench(parameters, seed=seed)
+    travel = parameters.travel[axis]
+    offsets = [0.0, 0.0, 0.0]
+    for _ in range(int(10.0 / PERIOD_S)):
+        offsets[axis] = min(max(-4.0 * bench.read()[axis] / travel, -1.0), 1.0)
+        bench.hold(offsets)
+    u = amplitude_v * prbs(int(duration_s / PERIOD_S), 12, seed)
+    y = np.empty_like(u)
+    for k, offset in enumerate(u):
+        y[k] = bench.read()[axis]
+        offsets[axis] = float(offset)
+        bench.hold(offsets)
+    return u, y
+
+
+class Model(NamedTuple):
+    """velocity_gain w^2 / ((s + slow_rad_s) (s^2 + 2 damping w s + w^2)), w = mode_rad_s."""
+
+    velocity_gain: float
+    slow_rad_s: float
+    mode_rad_s: float
+    damping: float
+    fit_percent: float
+
+
+def identify(u: Array, y: Array, stops: float) -> Model:
+    """OE(1,3,1) on continuous poles in logarithms, by the inverse of the zero-order hold.
+
+    Numerator gain, input offset and initial state enter linearly and are projected out. Samples nearer to the
+    stops than ``stops`` leaves are left out.
+    """
+    inside = np.abs(y) < stops
+    scale = np.std(y[inside])
+
+    def polynomial(theta: Array) -> Array:
+        slow, mode, damping = np.exp(theta)
+        poles = np.array([-slow, *np.roots([1.0, 2.0 * damping * mode, mode * mode])])
+        return np.real(np.poly(np.exp(poles * PERIOD_S)))
+
+    def regressors(theta: Array) -> Array:
+        F = polynomial(theta)
+        impulse = np.zeros_like(y)
+        impulse[0] = 1.0
+        free = [lfilter([0.0] * k + [1.0], F, impulse) for k in range(3)]
+        return np.column_stack([lfilter([0.0, 1.0], F, u), np.ones_like(y), *free])
+
+    def residual(theta: Array) -> Array:
+        X = regressors(theta)[inside]
+        return np.asarray((X @ np.linalg.lstsq(X, y[inside], rcond=None)[0] - y[inside]) / scale)
+
+    bounds = np.log([[0.01, 1.0, 0.05], [5.0, 80.0, 3.0]])
+    starts = np.log([[0.4, 12.0, 0.6], [1.0, 6.0, 0.3], [0.2, 20.0, 1.0]])
+    best = min((least_squares(residual, start, bounds=bounds) for start in starts), key=lambda fit: fit.cost)
+    X = regressors(best.x)[inside]
+    gain = np.linalg.lstsq(X, y[inside], rcond=None)[0][0] / polynomial(best.x).sum()
+    slow, mode, damping = np.exp(best.x)
+    error = np.linalg.norm(residual(best.x)) * scale / np.linalg.norm(y[inside] - y[inside].mean())
+    return Model(gain * slow, slow, mode, damping, 100.0 * (1.0 - error))
+
+
+class Track(NamedTuple):
+    """A closed-loop run: times (n,), and true positions, setpoints and outputs (n, 3)."""
+
+    time_s: Array
+    position: Array
+    setpoint: Array
+    output_v: Array
+
+
+def close_loops(bench: Bench, laws: Sequence[Pid], setpoints: Sequence[Setpoint], duration_s: float) -> Track:
+    """Independent loops, the actuation one period late as with boards that apply at SYNC."""
+    controllers = [ControlLaw(law, PERIOD_S) for law in laws]
+    waiting = [0.0, 0.0, 0.0]
+    rows = []
+    for k in range(round(duration_s / PERIOD_S)):
+        now = k * PERIOD_S
+        wanted = [setpoint(now) for setpoint in setpoints]
+        outputs = []
+        for controller, r, y in zip(controllers, wanted, bench.read(), strict=True):
+            u = min(max(controller.output(r, y), -5.0), 5.0)
+            controller.advance(u)
+            outputs.append(u)
+        rows.append(([axis.position for axis in bench.arm.view().axes], wanted, outputs))
+        bench.hold(waiting)
+        waiting = outputs
+    position, setpoint, output = (np.array(column) for column in zip(*rows, strict=True))
+    return Track(np.arange(len(rows)) * PERIOD_S, position, setpoint, output)
+
+
+def stairs(*levels: tuple[float, float]) -> Setpoint:
+    """Piecewise constant: (from that second on, that level)."""
+
+    def setpoint(time_s: float) -> float:
+        return [level for start, level in levels if time_s >= start][-1]
+
+    return setpoint
+
+
+class Step(NamedTuple):
+    """What one step of a track did; the error is setpoint minus the mean of the last 0.2 s."""
+
+    settling_s: float
+    overshoot_percent: float
+    error: float
+
+
+def measure_step(track: Track, axis: int, start_s: float, end_s: float) -> Step:
+    """Settling into 2 % of the step, infinite when it never does; the setpoint stepped at ``start_s``."""
+    window = (track.time_s >= start_s - 1e-9) & (track.time_s < end_s)
+    time_s, y = track.time_s[window] - start_s, track.position[window, axis]
+    target = track.setpoint[window, axis][-1]
+    progress = (y - y[0]) / (target - y[0])
+    outside = np.flatnonzero(np.abs(progress - 1.0) > 0.02)
+    last = int(outside[-1]) if len(outside) else -1
+    settling = float(time_s[last + 1]) if last + 1 < len(time_s) else float("inf")
+    return Step(settling, 100.0 * (float(progress.max()) - 1.0), target - float(y[-18:].mean()))
