@@ -1,7 +1,7 @@
 """What crosses from the loop to the recorder process: blocks of a kind, a length and that many bytes.
 
 A header block (:class:`RunHeader`), batches of message records exactly as they stand in an MCAP chunk, and an
-end block (metadata); the last two encoded by msgspec. Nothing here knows a pipe or a file.
+end block (metadata); the first and the last encoded by msgspec. Nothing here knows a pipe or a file.
 """
 
 from __future__ import annotations

@@ -39,7 +39,10 @@ from hil.recording.handover import RunHeader, index_messages, log_time_of_first
 
 CHUNK_BYTES = 64 * 1024
 CHUNK_SPAN_NS = 400_000_000
-"""A chunk ends with the batch that makes it so large, or that begins so much later than the chunk."""
+"""A chunk ends with the batch that makes it so large, or that begins so much later than the chunk.
+
+With a batch on either side of the pipe (``recorder.BATCH_AGE_NS``), a crash costs 0.8 s at most.
+"""
 
 _MESSAGE_INDEX_HEADER = struct.Struct("<BQHI")
 _FOOTER_UP_TO_CRC = struct.Struct("<BQQQ")

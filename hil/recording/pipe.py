@@ -15,6 +15,7 @@ from hil.errors import RecordingError
 from hil.events import Event, Severity
 from hil.recording.handover import BATCH, BLOCK_HEADER, LOSSLESS, REAL_TIME, index_messages
 
+PROCESS_MODULE = "hil.recording.recorder_process"
 PIPE_BYTES = 1024 * 1024
 BACKLOG_BYTES = 16 * 1024 * 1024
 """More than three minutes of a three-axis run; what comes on top is dropped."""
@@ -150,13 +151,7 @@ def _start_process(path: Path, lossless: bool) -> subprocess.Popen[bytes]:
         raise RecordingError(f"{path}: cannot be created: {error.strerror}") from None
     try:
         return subprocess.Popen(
-            [
-                sys.executable,
-                "-P",
-                "-m",
-                "hil.recording.recorder_process",
-                LOSSLESS if lossless else REAL_TIME,
-            ],
+            [sys.executable, "-P", "-m", PROCESS_MODULE, LOSSLESS if lossless else REAL_TIME],
             stdin=subprocess.PIPE,
             stdout=file,
             stderr=subprocess.PIPE,
