@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.lawicel_adapters import TwoAdapters
 from support.link_contract import KINDS, ErrorFramesToo, LinkContract, Pair, arrived
 
 from hil.errors import LinkError
@@ -106,3 +107,20 @@ class TestInterface:
     def test_of_another_kind_is_a_link_error(self) -> None:
         with pytest.raises(LinkError, match="lo: cannot be opened: No such device"):
             open_link("lo")
+
+
+def test_slcand_and_a_serial_link_are_two_ends_of_one_bus() -> None:
+    with TwoAdapters() as adapters:
+        slcand = subprocess.Popen(["slcand", "-F", "-o", "-c", "-s6", adapters.one.device, "slcan7"])
+        deadline = time.monotonic() + 5
+        while subprocess.run(["ip", "link", "set", "slcan7", "up"], stderr=subprocess.DEVNULL).returncode:
+            assert time.monotonic() < deadline, "slcand made no interface"
+        with open_link("slcan7") as one, open_link(f"slcan:{adapters.other.device}") as other:
+            for frame in KINDS:
+                one.send(frame)
+                assert arrived(other) == frame
+                other.send(frame)
+                assert arrived(one) == frame
+        slcand.terminate()
+        assert slcand.wait(timeout=5) == 0
+    assert b"S6" in adapters.one.commands
