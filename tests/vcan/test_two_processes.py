@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import re
 import select
@@ -31,6 +32,8 @@ STALE_PERIODS, WATCHDOG_PERIODS = 12, 15
 """Limits that a machine which stalls for tens of milliseconds, as test machines do, does not reach."""
 CANDUMP_LINE = re.compile(r"\((\d+\.\d+)\) \w+ ([0-9A-F]+)#([0-9A-F]*)")
 TIMEOUT_S = 60
+PIPE_BYTES = 1 << 20
+"""Room for a whole run: candump loses frames when nobody reads."""
 
 
 def run_command(rig: str, path: Path, duration_s: int) -> list[str]:
@@ -75,6 +78,7 @@ class Candump:
     def __init__(self, started: subprocess.Popen[bytes]) -> None:
         assert started.stdout is not None
         self._pipe = started.stdout.fileno()
+        fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         self._unread = b""
         self.frames: list[tuple[float, int, bytes]] = []
 
