@@ -15,7 +15,6 @@ Sizes are in the axis' unit. A step in a CSV is two rows at the same time.
 from __future__ import annotations
 
 import csv
-import io
 import math
 import re
 from bisect import bisect_right
@@ -28,6 +27,8 @@ FORMS = (
     "step:SIZE@TIME, ladder:LEVEL,LEVEL,...@TIME/HOLD, ramp:SIZE@TIME/DURATION, "
     "minimum-jerk:SIZE@TIME/DURATION, sine:AMPLITUDE@TIME/PERIOD, csv:FILE"
 )
+SHORTEST_SPAN_S = 0.001
+"""Of a hold, a ramp or a sine: the shortest period that a loop may have."""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FORM = re.compile(
     rf"(?P<kind>step|ladder|ramp|minimum-jerk|sine):(?P<values>{_NUMBER}(?:,{_NUMBER})*)"
@@ -54,7 +55,7 @@ def csv_file(text: str) -> str | None:
 
 
 def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
-    """Parse ``text``; ``csv_text`` is the content of the file that ``csv:FILE`` names. Raises SetpointError."""
+    """Parse ``text``; ``csv_text`` is what the file that ``csv:FILE`` names holds. Raises SetpointError."""
     file = csv_file(text)
     if file is not None:
         return _from_csv(text, csv_text, file)
@@ -64,16 +65,16 @@ def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
     kind = match["kind"]
     values = [float(value) for value in match["values"].split(",")]
     start = float(match["start"])
-    if start < 0:
-        raise SetpointError(f"setpoint {text!r}: TIME {start} s is before the run begins")
+    if not 0 <= start < math.inf:
+        raise SetpointError(f"setpoint {text!r}: TIME {start:g} s must be 0 or more, from the run's begin")
     if kind != "ladder" and len(values) != 1:
         raise SetpointError(f"setpoint {text!r}: {kind} takes one size, not {len(values)}")
     if (match["span"] is None) != (kind == "step"):
         lack = "takes no /..." if kind == "step" else "lacks its /SECONDS"
         raise SetpointError(f"setpoint {text!r}: {kind} {lack}; forms: {FORMS}")
     span = float(match["span"] or 1.0)
-    if span <= 0:
-        raise SetpointError(f"setpoint {text!r}: /{span} s must be over 0")
+    if not SHORTEST_SPAN_S <= span < math.inf:
+        raise SetpointError(f"setpoint {text!r}: /{span:g} s must be {SHORTEST_SPAN_S} s or more")
     at = _FUNCTIONS[kind](values, start, span)
     lowest, highest = min(0.0, *values), max(0.0, *values)
     if kind == "sine":
@@ -104,7 +105,8 @@ def _ladder(values: list[float], start: float, hold: float) -> Function:
     last = len(values) - 1
 
     def at(t: float) -> float:
-        return values[min(int((t - start) / hold), last)] if t >= start else 0.0
+        # A billionth of a hold, so that a level begins in time where the quotient falls just short of whole.
+        return values[int(min((t - start) / hold + 1e-9, last))] if t >= start else 0.0
 
     return at
 
@@ -136,14 +138,14 @@ _FUNCTIONS: dict[str, Callable[[list[float], float, float], Function]] = {
 def _from_csv(text: str, content: str, file: str) -> Setpoint:
     times: list[float] = []
     values: list[float] = []
-    for row_number, row in enumerate(csv.reader(io.StringIO(content)), start=1):
+    for row_number, row in enumerate(_rows(content, file), start=1):
         if not row or row[0].lstrip().startswith("#"):
             continue
+        if not times and not any(map(_is_number, row)):
+            continue  # a header
         try:
             time_s, value = (float(cell) for cell in row)
         except ValueError:
-            if not times and row_number == 1:
-                continue  # a header
             raise SetpointError(
                 f"{file}: row {row_number}: {','.join(row)!r} is not time_s,setpoint"
             ) from None
@@ -166,3 +168,18 @@ def _from_csv(text: str, content: str, file: str) -> Setpoint:
         return values[after - 1] + share * (values[after] - values[after - 1])
 
     return Setpoint(text, at, min(values), max(values))
+
+
+def _rows(content: str, file: str) -> list[list[str]]:
+    try:
+        return list(csv.reader(content.splitlines()))
+    except csv.Error as error:
+        raise SetpointError(f"{file}: not a CSV file: {error}") from None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
