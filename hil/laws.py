@@ -19,6 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.controller_file import Law, Pid, StateSpace, TransferFunction
+from hil.errors import DocumentError
+
+LARGEST_COEFFICIENT = 1e12
+"""In a realisation; beyond it nothing can be computed in double precision."""
 
 Matrix = NDArray[np.float64]
 
@@ -51,12 +55,30 @@ def realise(law: Law, sample_time_s: float) -> Realisation:
             return Realisation(A, _of_error(B), C, _of_error(D)) if m == 1 else Realisation(A, B, C, D)
 
 
+def check_law_runs(law: Law, sample_time_s: float, source: str) -> None:
+    """Refuse a law that overflows, or whose anti-windup cannot be stable. Raises DocumentError."""
+    with np.errstate(all="ignore"):
+        A, B, C, D = realise(law, sample_time_s)
+    largest = float(np.max(np.abs(np.concatenate([part.ravel() for part in (A, B, C, D)]))))
+    if not largest <= LARGEST_COEFFICIENT:
+        raise DocumentError(
+            f"{source}: law: its state space at {sample_time_s} s has a coefficient of {largest:.3g}, over "
+            f"{LARGEST_COEFFICIENT:g}; scale it"
+        )
+    conditioned = A - anti_windup_gain(A, B, C, D) @ C
+    if np.any(np.abs(np.linalg.eigvals(conditioned)) > 1.0 - 1e-10):
+        raise DocumentError(
+            f"{source}: law: a mode that does not decay is not seen in its output or not moved by its input; "
+            "nothing would stop it while the valve is limited: give a minimal realisation"
+        )
+
+
 class ControlLaw:
     """One axis' controller at run time. Call ``output``, limit it, then ``advance`` with what left."""
 
     def __init__(self, law: Law, sample_time_s: float) -> None:
         A, B, C, D = realise(law, sample_time_s)
-        L = anti_windup_gain(A, B[:, :1], C, D[:, :1])
+        L = anti_windup_gain(A, B, C, D)
         n = A.shape[0]
         self._A = [tuple(row) for row in A.tolist()]
         self._Br = B[:, 0].tolist()
@@ -64,26 +86,23 @@ class ControlLaw:
         self._C: list[float] = C[0].tolist()
         self._Dr, self._Dy = float(D[0, 0]), float(D[0, 1])
         self._L: list[float] = L[:, 0].tolist()
-        # Where the conditioned law settles while r, y and u stand still: x = settled_w [r, y] + settled_u u.
-        conditioned = np.eye(n) - A + L @ C
-        self._settled_w = np.linalg.solve(conditioned, B - L @ D)
-        self._settled_u = np.linalg.solve(conditioned, L)
+        # Where every mode but the slowest settles while r and y stand still.
+        self._slowest = _slowest_mode(A, C)
+        deflated = np.eye(n) - A + self._slowest @ C
+        self._settled = np.linalg.lstsq(deflated, B - self._slowest @ D, rcond=None)[0]
         self._x = [0.0] * n
         self._r = self._y = self._u = 0.0
 
     def initialise(self, r: float, y: float, u: float) -> None:
-        """Bumpless hand-over: the next ``output(r, y)`` is ``u``, as if u had long been held."""
-        x = self._settled_w @ np.array([[r], [y]]) + self._settled_u * u
+        """Bumpless hand-over: the next ``output(r, y)`` is ``u``, as if r and y had long stood still.
+
+        The law's slowest mode, its integrator where it has one, makes up for u: so nothing else moves when
+        r and y stay. A law without dynamics has nothing to initialise.
+        """
+        x = self._settled @ np.array([[r], [y]])
         self._x = x[:, 0].tolist()
-        if not self._x:
-            return
-        direction = self._settled_u
-        if not np.any(direction):
-            direction = np.array([self._C]).T
-        gain = float((np.array([self._C]) @ direction)[0, 0])
-        if gain != 0.0:
-            x = x + direction * ((u - self.output(r, y)) / gain)
-            self._x = x[:, 0].tolist()
+        x = x + self._slowest * (u - self.output(r, y))
+        self._x = x[:, 0].tolist()
 
     def output(self, r: float, y: float) -> float:
         """Output u in volts from setpoint r and process variable y, in the axis' unit. Changes no state."""
@@ -101,24 +120,25 @@ class ControlLaw:
         ]
 
 
-def anti_windup_gain(A: Matrix, b: Matrix, C: Matrix, d: Matrix) -> Matrix:
-    """Gain L (n, 1) such that A - L C is stable: Kalman predictor of x+ = A x + b v, u = C x + d v + noise.
+def anti_windup_gain(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
+    """Gain L (n, 1) such that A - L C is stable: Kalman predictor of x+ = A x + B v, u = C x + D v + noise.
 
-    The Riccati equation is solved by structure-preserving doubling (Chu, Fan, Lin, Wang 2004) after the cross
-    term has been removed. A little measurement noise keeps zeros on the unit circle (Tustin puts one at -1 in
-    a strictly proper law) from ringing.
+    B (n, m), D (1, m): v is white in every input of the law. The Riccati equation is solved by
+    structure-preserving doubling (Chu, Fan, Lin, Wang 2004) after the cross term has been removed. A little
+    measurement noise keeps zeros on the unit circle (Tustin puts one at -1 in a strictly proper law) from
+    ringing.
     """
-    n = A.shape[0]
+    n, m = B.shape
     if n == 0:
         return np.zeros((0, 1))
-    impulse_response = [d, *(C @ np.linalg.matrix_power(A, k) @ b for k in range(n))]
+    impulse_response = [D, *(C @ np.linalg.matrix_power(A, k) @ B for k in range(n))]
     scale = max(float(np.max(np.abs(impulse_response))), 1e-12)
-    R = d @ d.T + (0.1 * scale) ** 2
-    S = b @ d.T
+    R = D @ D.T / m + (0.1 * scale) ** 2
+    S = B @ D.T / m
     gain_direct = S / R
     # Dual DARE: P = F P F' - F P C' (R + C P C')^-1 C P F' + Q
     F = A - gain_direct @ C
-    Q = b @ b.T - gain_direct @ S.T
+    Q = B @ B.T / m - gain_direct @ S.T
     E, G, H = F.T.copy(), C.T @ C / R, Q
     for _ in range(60):
         W = np.linalg.inv(np.eye(n) + G @ H)
@@ -130,6 +150,16 @@ def anti_windup_gain(A: Matrix, b: Matrix, C: Matrix, d: Matrix) -> Matrix:
             break
     P = 0.5 * (H + H.T)
     return np.asarray((A @ P @ C.T + S) / (R + C @ P @ C.T), dtype=np.float64)
+
+
+def _slowest_mode(A: Matrix, C: Matrix) -> Matrix:
+    """The mode (n, 1) nearest to an integrator that the output sees, scaled to C x = 1; 0 if it sees none."""
+    eigenvalues, modes = np.linalg.eig(A)
+    seen = (C @ modes)[0]
+    if not np.any(seen):
+        return np.zeros((A.shape[0], 1))
+    slowest = np.argmax(np.abs(seen) / (np.abs(1.0 - eigenvalues) + 1e-9))
+    return np.asarray((modes[:, [slowest]] / seen[slowest]).real, dtype=np.float64)
 
 
 def _realise_pid(pid: Pid, ts: float) -> Realisation:
