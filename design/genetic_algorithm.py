@@ -10,6 +10,9 @@ import numpy as np
 
 from design.polynomials import Array
 
+_FAILING = 0.01
+"""Eqs. (8) and (14): the fitness of what fails. (So a stable loop of less margin ranks below it.)"""
+
 
 class GeneticAlgorithm:
     """Binary coding, roulette wheel, one-point crossover, one-bit mutation, elitist copy."""
@@ -43,10 +46,9 @@ class GeneticAlgorithm:
         """See Searcher."""
         self._generations_left -= 1
         n, length = self._genes.shape
-        best = self._genes[int(np.argmax(fitness))]
-        share = np.maximum(fitness, 0.0)
-        share = share / share.sum() if share.sum() > 0.0 else np.full(n, 1.0 / n)
-        parents = self._genes[self._random.choice(n, size=n + n % 2, p=share)]
+        judged = np.where(fitness > 0.0, fitness, _FAILING)
+        best = self._genes[int(np.argmax(judged))]
+        parents = self._genes[self._random.choice(n, size=n + n % 2, p=judged / judged.sum())]
         mothers, fathers = parents[::2], parents[1::2]
         pairs = len(mothers)
         cut = self._random.integers(1, length, size=(pairs, 1))

@@ -53,7 +53,7 @@ def realise(H: TransferFunction) -> StateSpace:
         A[0] = -a[1:]
     gain = max(float(np.sqrt(np.abs(b[1:] - a[1:] * b[0]).max(initial=0.0))), 1e-150)
     C = (b[1:] - a[1:] * b[0]).reshape(1, n) / gain
-    return StateSpace(A * scale, np.eye(n, 1) * gain * scale, C, b[:1].reshape(1, 1))
+    return StateSpace(A * scale, np.eye(n, 1) * (gain * scale), C, b[:1].reshape(1, 1))
 
 
 def riccati_solutions(Gs: StateSpace) -> tuple[Array, Array]:
@@ -102,7 +102,7 @@ def synthesise(Gs: TransferFunction, factor: float = 1.1) -> LoopShaping:
     F = -np.linalg.solve(S, D.T @ C + B.T @ X)
     L = (1.0 - gamma**2) * np.eye(len(A)) + X @ Z
     gain = gamma**2 * np.linalg.solve(L.T, Z @ C.T)
-    controller = StateSpace(A + B @ F + gain @ (C + D @ F), gain, -B.T @ X, D.T)
+    controller = StateSpace(A + B @ F + gain @ (C + D @ F), np.asarray(gain), -B.T @ X, D.T)
     return LoopShaping(controller, gamma, optimum)
 
 

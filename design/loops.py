@@ -77,7 +77,7 @@ class Loops:
             K = Controller(*(p if len(p) == 1 else p[stable] for p in self.K))
             some = step_responses(self.G, K, self.sampling, step_s, samples)
             y[stable], u[stable] = some.y, some.u
-        return StepResponses(np.arange(samples) * step_s, y, u)
+        return StepResponses(step_s * np.arange(float(samples)), y, u)
 
     @cached_property
     def overshoot(self) -> Array:
@@ -92,7 +92,7 @@ class Loops:
                 rise = -0.125 * (after - before) ** 2 / bend
             highest = highest + np.where((bend < 0.0) & (top == highest), rise, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.maximum(highest / self.final_value - 1.0, 0.0)
+            return np.asarray(np.maximum(highest / self.final_value - 1.0, 0.0))
 
     @cached_property
     def settling_s(self) -> Array:
@@ -115,7 +115,7 @@ class Loops:
         """Time (B,) from 10 % to 90 % of the final value; ∞ if not within the horizon."""
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = self.response.y / self.final_value[:, None]
-        return self._first_above(relative, 0.9) - self._first_above(relative, 0.1)
+            return self._first_above(relative, 0.9) - self._first_above(relative, 0.1)
 
     def _first_above(self, relative: Array, level: float) -> Array:
         reached = relative >= level
@@ -130,7 +130,7 @@ class Loops:
     @cached_property
     def effort(self) -> Array:
         """Largest |u| (B,) after a unit step of the setpoint, in output units of the controller."""
-        return np.abs(self.response.u).max(axis=-1)
+        return np.asarray(np.abs(self.response.u).max(axis=-1))
 
     @cached_property
     def error(self) -> Array:

@@ -35,23 +35,30 @@ def stabilises(G: TransferFunction, K: TransferFunction) -> Flags:
 def stability_margin(G: TransferFunction, K: TransferFunction, W: TransferFunction = UNIT) -> Array:
     """ε (B,) of controllers K (B, n) on plant G with weight W1 = W; 0 where the loop is not stable.
 
-    W must be stable and minimum phase. To 1e-10 or better of the state-space norm.
+    W must be stable and minimum phase. Exact to rounding: 1e-10 or better, whatever the damping.
     """
+    return margin_and_frequency(G, K, W)[0]
+
+
+def margin_and_frequency(
+    G: TransferFunction, K: TransferFunction, W: TransferFunction = UNIT
+) -> tuple[Array, Array]:
+    """ε (B,) as :func:`stability_margin`, and the ω (B,) in rad/s where it is lost; NaN where unstable."""
     G, K, W = (TransferFunction(np.atleast_2d(H.num), np.atleast_2d(H.den)) for H in (G, K, W))
     closed = characteristic(G, K)
-    margin = np.zeros(len(closed))
+    margin, omega = np.zeros(len(closed)), np.full(len(closed), np.nan)
     stable = np.flatnonzero(poly.hurwitz(closed))
     if len(stable):
         Wn, Wd, Gn, Gd, num, den, closed = (p if len(p) == 1 else p[stable] for p in (*W, *G, *K, closed))
-        gamma_squared, _ = peak(
+        gamma_squared, omega[stable] = peak(
             above=[
                 Power(poly.multiply(den, Wn), poly.multiply(num, Wd)),
                 Power(poly.multiply(Gd, Wd), poly.multiply(Gn, Wn)),
             ],
             below=[Power(poly.multiply(Wn, Wd)), Power(closed)],
         )
-        margin[stable] = 1.0 / np.sqrt(gamma_squared)
-    return margin
+        margin[stable] = np.where(gamma_squared > 0.0, 1.0 / np.sqrt(gamma_squared), 0.0)
+    return margin, omega
 
 
 def crossover(L: TransferFunction) -> Array:
@@ -59,10 +66,14 @@ def crossover(L: TransferFunction) -> Array:
     return _falls_through_one(np.atleast_2d(L.num), np.atleast_2d(L.den))
 
 
-def bandwidth(G: TransferFunction, K: TransferFunction) -> Array:
-    """Lowest ω (B,) at which |GK/(1 + GK)| falls through 1/√2 (-3 dB)."""
+def bandwidth(G: TransferFunction, K: TransferFunction, num_r: Array | None = None) -> Array:
+    """Lowest ω (B,) at which the closed loop's gain from setpoint to output falls through 1/√2 (-3 dB).
+
+    ``num_r`` is the numerator for the setpoint where it is not that of K; 0 where the gain starts below.
+    """
     closed = np.atleast_2d(characteristic(G, K))
-    return _falls_through_one(np.sqrt(2.0) * np.atleast_2d(poly.multiply(G.num, K.num)), closed)
+    forward = poly.multiply(np.atleast_2d(G.num), np.atleast_2d(K.num if num_r is None else num_r))
+    return _falls_through_one(np.sqrt(2.0) * forward, closed)
 
 
 def lowest_gain(L: TransferFunction, omega: float) -> Array:
@@ -94,21 +105,23 @@ def phase_margin(L: TransferFunction) -> Array:
     x, crossing = _positive_roots(poly.add(poly.power(num), -poly.power(den)))
     jw = 1j * np.sqrt(x)
     angle = np.abs(np.angle(-poly.at(num, jw) / poly.at(den, jw)))
-    return np.where(crossing, angle, np.pi).min(axis=-1, initial=np.pi)
+    return np.asarray(np.where(crossing, angle, np.pi).min(axis=-1, initial=np.pi))
 
 
 def gain_margins(L: TransferFunction) -> tuple[Array, Array]:
     """Largest factor below 1 and smallest above 1 (B,) that bring L to -1; 0 and ∞ where none does."""
     num, den = np.atleast_2d(L.num), np.atleast_2d(L.den)
-    odd = poly.multiply(num, poly.mirror(den))
-    # Im L = 0 on the axis: the odd part of n d~, and ω = 0 itself.
-    even_x, odd_x = poly.even_odd(odd)
+    # L is real where the odd part of n d~ is 0, and at both ends of the axis.
+    even_x, odd_x = poly.even_odd(poly.multiply(num, poly.mirror(den)))
     x, crossing = _positive_roots(odd_x)
-    x = np.concatenate([x, np.zeros((len(x), 1))], axis=-1)
-    crossing = np.concatenate([crossing, np.ones((len(x), 1), dtype=bool)], axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        value = poly.at(even_x, x) / Power(den).at(x)
-        factor = np.where(crossing & (value < 0.0), -1.0 / value, np.nan)
+        value = np.where(crossing, poly.at(even_x, x) / Power(den).at(np.sqrt(x)), 0.0)
+        at_zero = num[:, -1:] / den[:, -1:]
+        at_infinity = num[:, :1] / den[:, :1] if num.shape[-1] == den.shape[-1] else np.zeros((len(x), 1))
+        size = (len(value), 1)
+        ends = [np.broadcast_to(end, size) for end in (at_zero, at_infinity)]
+        value = np.concatenate([value, *ends], axis=-1)
+        factor = np.where(value < 0.0, -1.0 / value, np.nan)
         below = np.where(factor < 1.0, factor, 0.0).max(axis=-1)
         above = np.where(factor > 1.0, factor, np.inf).min(axis=-1)
     return below, above

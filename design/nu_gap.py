@@ -18,9 +18,9 @@ from design.polynomials import Array
 
 def chordal_distance(G1: TransferFunction, G2: TransferFunction, omega: Array) -> Array:
     """Distance (k,) of the two frequency responses on the Riemann sphere at ``omega`` (k,) in rad/s."""
-    x = np.asarray(omega, dtype=float)[None, :] ** 2
+    w = np.asarray(omega, dtype=float)[None, :]
     above, below = _distance(G1, G2)
-    return np.asarray(np.sqrt(above.at(x) / (below[0].at(x) * below[1].at(x)))[0])
+    return np.asarray(np.sqrt(above.at(w) / (below[0].at(w) * below[1].at(w)))[0])
 
 
 def nu_gap(G1: TransferFunction, G2: TransferFunction) -> float:

@@ -8,6 +8,7 @@ is that of the sampled loop exactly. So all the mathematics of this package is w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Annotated, Any, Literal, NamedTuple
@@ -91,6 +92,12 @@ def check_plant_fits(plant: Plant, source: str, unit: str) -> None:
         raise DocumentError(f"{source}: output_unit: {plant.output_unit}, but the axis is in {unit}")
 
 
+def as_models(plants: Plant | Sequence[Plant], sampling: Sampling | None) -> list[TransferFunction]:
+    """What the loop sees of one plant or several."""
+    several = [plants] if isinstance(plants, Plant) else list(plants)
+    return [plant.transfer_function(sampling) for plant in several]
+
+
 def paper_plant() -> Plant:
     """The paper's eq. (15), shipped with the package."""
     name = "plants/paper.json"
@@ -132,7 +139,7 @@ def zero_order_hold(G: TransferFunction, period_s: float) -> TransferFunction:
         ) from None
     A_w = 2.0 / step * A @ phi @ inverse
     B_w, C_w = phi @ B, 2.0 / step * C @ inverse
-    den_w = poly.from_roots(2.0 / step * np.tanh(0.5 * step * poles / scale))
+    den_w = poly.from_roots(np.tanh(0.5 * step * poles / scale) * (2.0 / step + 0j))
     # Numerator of C (sI - A)^-1 B from its values on a circle around all poles.
     radius = 1.5 * max(float(np.abs(np.linalg.eigvals(A_w)).max()), 1.0)
     s = radius * np.exp(2j * np.pi * np.arange(n) / n)

@@ -8,6 +8,8 @@ test. No control engineering.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +23,9 @@ def multiply(*factors: Array) -> Array:
     """Product of polynomials; leading axes broadcast."""
     product = factors[0]
     for factor in factors[1:]:
-        short, long = sorted((product, factor), key=lambda p: p.shape[-1])
-        batch = np.broadcast_shapes(short.shape[:-1], long.shape[:-1])
-        n = long.shape[-1]
-        product = np.zeros((*batch, short.shape[-1] + n - 1))
-        for i in range(short.shape[-1]):
-            product[..., i : i + n] += short[..., i : i + 1] * long
+        n, m = product.shape[-1], factor.shape[-1]
+        terms = product[..., :, None] * factor[..., None, :]
+        product = terms.reshape(*terms.shape[:-2], n * m) @ _gathering(n, m)
     return product
 
 
@@ -47,7 +46,8 @@ def mirror(p: Array) -> Array:
 def power(p: Array) -> Array:
     """|p(jω)|² as a polynomial in x = ω², of the degree of p."""
     n = p.shape[-1]
-    return multiply(p, mirror(p))[..., ::2] * _signs(n)
+    terms = p[..., :, None] * p[..., None, :]
+    return np.asarray(terms.reshape(*p.shape[:-1], n * n) @ _gathering_power(n))
 
 
 def derivative(p: Array) -> Array:
@@ -56,12 +56,22 @@ def derivative(p: Array) -> Array:
     return p[..., :-1] * np.arange(n - 1.0, 0.0, -1.0) if n > 1 else np.zeros_like(p)
 
 
-def at(p: Array, s: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Values (..., k) of polynomials (..., n + 1) at points (..., k)."""
-    value = p[..., :1] + np.zeros_like(s)
+def at(p: Array, s: NDArray[Any]) -> NDArray[Any]:
+    """Values (..., k) of polynomials (..., n + 1) at points (..., k), real or complex."""
+    value: NDArray[Any] = p[..., :1] * s if p.shape[-1] > 1 else p + np.zeros_like(s)
     for i in range(1, p.shape[-1]):
-        value = value * s + p[..., i : i + 1]
+        value += p[..., i : i + 1]
+        if i < p.shape[-1] - 1:
+            value *= s
     return value
+
+
+def power_at(p: Array, omega: Array) -> Array:
+    """|p(jω)|² at ω (..., k), from even and odd part: no digits are lost near a root close to the axis."""
+    n = p.shape[-1]
+    powers = omega[..., None] ** np.arange(n - 1.0, -1.0, -1.0)
+    parts = (p[..., None, :] * powers) @ _even_odd_signs(n)
+    return np.asarray((parts * parts).sum(axis=-1))
 
 
 def even_odd(p: Array) -> tuple[Array, Array]:
@@ -118,20 +128,20 @@ def from_roots(zeros: ComplexArray) -> Array:
 
 
 def hurwitz(p: Array) -> Flags:
-    """Whether all roots lie in Re s < 0, by the Routh table; the degree is that of the array's length."""
-    p = p * np.where(p[..., :1] < 0.0, -1.0, 1.0)
-    stable = (p > 0.0).all(axis=-1)
+    """Whether all roots (...) lie in Re s < 0, by the Routh table. A leading coefficient of 0 fails."""
     n = p.shape[-1]
-    above, row = p[..., ::2], p[..., 1::2]
+    p = p * np.sign(p[..., :1])
+    width = (n + 1) // 2
+    above, row = np.zeros((2, *p.shape[:-1], width + 1))
+    above[..., :width], row[..., : n // 2] = p[..., ::2], p[..., 1::2]
+    firsts = [above[..., 0], row[..., 0]][:n]
     with np.errstate(all="ignore"):
         for _ in range(n - 2):
-            width = above.shape[-1] - 1
-            below = above[..., 1:].copy()
-            tail = row[..., 1:]
-            below[..., : tail.shape[-1]] -= above[..., :1] / row[..., :1] * tail[..., :width]
-            stable &= below[..., 0] > 0.0
+            below = np.zeros_like(row)
+            below[..., :-1] = above[..., 1:] - (above[..., :1] / row[..., :1]) * row[..., 1:]
+            firsts.append(below[..., 0])
             above, row = row, below
-    return np.asarray(stable)
+    return np.asarray((np.stack(firsts) > 0.0).all(axis=0))
 
 
 def spectral_abscissa(p: Array) -> Array:
@@ -156,3 +166,25 @@ def substitute_fraction(p: Array, above: Sequence[float], below: Sequence[float]
 def _signs(n: int) -> Array:
     """+1 for even, -1 for odd powers, of polynomials with n coefficients."""
     return np.asarray((-1.0) ** np.arange(n - 1, -1, -1))
+
+
+@lru_cache
+def _gathering(n: int, m: int) -> Array:
+    """Matrix (n m, n + m - 1) that adds up the products of coefficients that belong to one power."""
+    i, j = np.divmod(np.arange(n * m), m)
+    return np.asarray((i + j)[:, None] == np.arange(n + m - 1), dtype=np.float64)
+
+
+@lru_cache
+def _gathering_power(n: int) -> Array:
+    """The same (n n, n) for p(s) p(-s) with s² = -x."""
+    i, j = np.divmod(np.arange(n * n), n)
+    signs = (-1.0) ** (n - 1 - j) * (-1.0) ** np.arange(n - 1, -1, -1)[:, None]
+    return np.asarray(((i + j)[:, None] == 2 * np.arange(n)) * signs.T, dtype=np.float64)
+
+
+@lru_cache
+def _even_odd_signs(n: int) -> Array:
+    """Matrix (n, 2) that takes p_k ω^k to the real and the imaginary part of p(jω)."""
+    k = np.arange(n - 1, -1, -1)
+    return np.stack([np.array([1.0, 0.0, -1.0, 0.0])[k % 4], np.array([0.0, 1.0, 0.0, -1.0])[k % 4]], axis=-1)

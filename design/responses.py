@@ -28,7 +28,7 @@ class StepResponses(NamedTuple):
 def step_responses(
     G: TransferFunction, K: Controller, sampling: Sampling | None, step_s: float, samples: int
 ) -> StepResponses:
-    """Responses of u = (num_r r - num y)/den on G, ``step_s`` apart; for a sampled loop that is its period."""
+    """Responses of u = (num_r r - num y)/den on G, ``step_s`` apart: a sampled loop's period."""
     A, B, C, D = _closed_loop(G, K)
     n = A.shape[-1]
     M = np.zeros((len(A), n + 1, n + 1))
@@ -45,7 +45,7 @@ def step_responses(
         C = C @ inverse
     rows = np.concatenate([C, D], axis=-1)
     outputs = _powers(rows, M, samples)
-    return StepResponses(np.arange(samples) * step_s, outputs[:, 0], outputs[:, 1])
+    return StepResponses(step_s * np.arange(float(samples)), outputs[:, 0], outputs[:, 1])
 
 
 def _closed_loop(G: TransferFunction, K: Controller) -> tuple[Array, Array, Array, Array]:

@@ -6,7 +6,7 @@ specifications are; each reading names its own. Violations are relative to the l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,8 +58,8 @@ QUANTITIES = {
     "closed_bandwidth_rad_s": Quantity(
         "rad/s",
         False,
-        "-3 dB of the closed loop",
-        lambda q, _: q.true_frequency(margins.bandwidth(q.G, q.K.feedback)),
+        "-3 dB of the closed loop from setpoint to output",
+        lambda q, _: q.true_frequency(margins.bandwidth(q.G, q.K.feedback, q.K.num_r)),
     ),
     "gain_db": Quantity(
         "dB",
@@ -157,6 +157,22 @@ def readings(specifications: Sequence[Specification], loops: Loops) -> tuple[Rea
             Reading(specification.quantity, float(value[0]), specification.limit, kind.unit, name, met)
         )
     return tuple(result)
+
+
+def compromise(what: str, parameters: Mapping[str, float], read: Sequence[Reading]) -> str:
+    """The text of an InfeasibleError: what fails, and by how much, at the best that was found."""
+    at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
+    failed = "; ".join(str(reading) for reading in read if not reading.met)
+    return (
+        f"no {what} in its box meets all specifications. Best compromise ({at}): {failed}. "
+        "Relax what fails, or widen the box"
+    )
+
+
+def response_horizon_s(specifications: Sequence[Specification]) -> float:
+    """How long steps must be followed to read the specifications off them."""
+    limits = [s.limit for s in specifications if s.quantity in ("settling_s", "rise_s")]
+    return 5.0 * max(limits, default=1.2)
 
 
 PAPER = (

@@ -22,7 +22,10 @@ from hil.controller_file import TransferFunction as TransferFunctionLaw
 
 
 class Controller(NamedTuple):
-    """u = (num_r r - num y)/den, arrays (..., n + 1) in falling powers of s; num_r is num with one degree of freedom."""
+    """u = (num_r r - num y)/den, arrays (..., n + 1) in falling powers of s.
+
+    num_r is num where there is one degree of freedom.
+    """
 
     num: Array
     den: Array

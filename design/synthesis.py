@@ -20,12 +20,18 @@ from design.differential_evolution import DifferentialEvolution
 from design.errors import InfeasibleError, NotStabilisedError
 from design.loop_shaping import shaped
 from design.loops import Loops
-from design.plant import Plant, Sampling, TransferFunction
+from design.plant import Plant, Sampling, TransferFunction, as_models
 from design.polynomials import Array
 from design.search import Progress, Searcher, SearchResult, maximise
-from design.specifications import Reading, Specification, readings, violations
+from design.specifications import (
+    Reading,
+    Specification,
+    compromise,
+    readings,
+    response_horizon_s,
+    violations,
+)
 from design.structures import Box, Structure
-from design.weight_selection import _horizon_s, _infeasible, _models
 
 
 @dataclass(frozen=True)
@@ -63,9 +69,9 @@ def synthesise(
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Synthesis:
     """The best controller found. Raises NotStabilisedError, or InfeasibleError if specifications fail."""
-    models = _models(plants, sampling)
+    models = as_models(plants, sampling)
     box = Box(structure.parameters)
-    horizon_s = _horizon_s(specifications)
+    horizon_s = response_horizon_s(specifications)
 
     def loops(G: TransferFunction, points: Array) -> Loops:
         K = structure.controller(box.decode(points))
@@ -86,23 +92,23 @@ def synthesise(
             fitness = np.minimum(fitness, margin)
         return fitness
 
-    searcher = searcher or DifferentialEvolution(len(box), seed=seed, evaluations=evaluations, population=60)
+    searcher = searcher or DifferentialEvolution(len(box), seed=seed, evaluations=evaluations)
     search = maximise(objective, searcher, on_progress)
     best = search.best[None, :]
     values = box.decode(best)[0]
     parameters = dict(zip(box.names, map(float, values), strict=True))
     if search.best_fitness <= -1e4:
         raise NotStabilisedError(
-            f"no {type(structure).__name__} in its box stabilises the plant: after {search.evaluations} candidates "
-            f"the best loop still has a pole at Re s = {-search.best_fitness - 1e4:.3g} rad/s; widen the boxes, "
-            "or choose another structure"
+            f"no {type(structure).__name__} in its box stabilises the plant: the best of "
+            f"{search.evaluations} candidates still has a closed-loop pole at Re s = "
+            f"{-search.best_fitness - 1e4:.3g} rad/s; widen the boxes, or choose another structure"
         )
     batches = [loops(G, best) for G in models]
     eps = [float(batch.margin[0]) for batch in batches]
     worst = max(batches, key=lambda batch: float(violations(specifications, batch)[0]))
     read = readings(specifications, worst)
     if search.best_fitness < 0.0:
-        raise InfeasibleError(_infeasible(parameters, read))
+        raise InfeasibleError(compromise("controller", parameters, read))
     return Synthesis(
         structure=structure,
         parameters=parameters,

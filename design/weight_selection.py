@@ -18,10 +18,18 @@ from design.differential_evolution import DifferentialEvolution
 from design.errors import InfeasibleError
 from design.loop_shaping import shaped
 from design.loops import Loops
-from design.plant import Plant, Sampling, TransferFunction
+from design.plant import Plant, Sampling, TransferFunction, as_models
 from design.polynomials import Array
 from design.search import Progress, Searcher, SearchResult, maximise
-from design.specifications import PAPER, Reading, Specification, readings, violations
+from design.specifications import (
+    PAPER,
+    Reading,
+    Specification,
+    compromise,
+    readings,
+    response_horizon_s,
+    violations,
+)
 from design.structures import Box, IntegralWeight, Structure, of_error
 
 LEAST_COMPATIBLE = 0.25
@@ -61,9 +69,9 @@ def select_weight(
 ) -> WeightSelection:
     """The best weight over one plant, or for the worst of several. Raises InfeasibleError."""
     structure = IntegralWeight() if structure is None else structure
-    models = _models(plants, sampling)
+    models = as_models(plants, sampling)
     box = Box(structure.parameters)
-    horizon_s = _horizon_s(specifications)
+    horizon_s = response_horizon_s(specifications)
 
     def loops(G: TransferFunction, W: TransferFunction) -> tuple[Loops, Array]:
         Gs = shaped(G, W)
@@ -81,7 +89,7 @@ def select_weight(
             fitness = np.minimum(fitness, np.where(failing > 0.0, -failing, eps_opt))
         return fitness
 
-    searcher = searcher or DifferentialEvolution(len(box), seed=seed, evaluations=evaluations, population=20)
+    searcher = searcher or DifferentialEvolution(len(box), seed=seed, evaluations=evaluations)
     search = maximise(objective, searcher, on_progress)
     values = box.decode(search.best[None, :])
     W = structure.controller(values).feedback
@@ -90,7 +98,7 @@ def select_weight(
     read = readings(specifications, worst[0])
     parameters = dict(zip(box.names, map(float, values[0]), strict=True))
     if search.best_fitness < 0.0:
-        raise InfeasibleError(_infeasible(parameters, read))
+        raise InfeasibleError(compromise("weight", parameters, read))
     return WeightSelection(
         parameters=parameters,
         weight=TransferFunction(*(np.ravel(p) for p in W)),
@@ -100,19 +108,3 @@ def select_weight(
         sampling=sampling,
         search=search,
     )
-
-
-def _infeasible(parameters: dict[str, float], read: Sequence[Reading]) -> str:
-    at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
-    failed = "; ".join(str(reading) for reading in read if not reading.met)
-    return f"no weight in the box meets all specifications. Best compromise ({at}): {failed}. Relax it, or widen the box."
-
-
-def _models(plants: Plant | Sequence[Plant], sampling: Sampling | None) -> list[TransferFunction]:
-    several = [plants] if isinstance(plants, Plant) else list(plants)
-    return [plant.transfer_function(sampling) for plant in several]
-
-
-def _horizon_s(specifications: Sequence[Specification]) -> float:
-    limits = [s.limit for s in specifications if s.quantity in ("settling_s", "rise_s")]
-    return 5.0 * max(limits, default=1.2)
