@@ -164,6 +164,9 @@ class Link:
 
 def open_link(spec: str) -> Link:
     """Open the bus that ``spec`` names; the forms are in ``FORMS``. Raises LinkError."""
+    import logging
+
+    logging.getLogger("can").addHandler(logging.NullHandler())  # what went wrong is said here, once
     scheme, colon, rest = spec.partition(":")
     if not colon:
         scheme, rest = "socketcan", spec
@@ -264,6 +267,7 @@ def _failure(spec: str, what: str, cause: OSError | None, error: BaseException |
         errno.EACCES: "you may not use it: sudo adduser $USER dialout, then log in again",
         errno.EBUSY: "another program uses it",
         errno.EAGAIN: "another program uses it",
+        errno.EADDRNOTAVAIL: "is the loopback interface up? sudo ip link set lo up",
         errno.EADDRINUSE: "another program has the port; choose another number",
         errno.EIO: "the adapter was unplugged, or the other end closed the line",
     }.get(cause.errno or 0 if cause else 0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import socket
 from typing import Final
 
-from can import BusABC, CanProtocol
+from can import BusABC, CanInitializationError, CanProtocol
 from can.interfaces.udp_multicast.bus import SO_TIMESTAMPNS, GeneralPurposeUdpMulticastBus, UdpMulticastBus
 
 GROUP: Final = UdpMulticastBus.DEFAULT_GROUP_IPv4
@@ -23,8 +23,8 @@ class HostMulticastBus(UdpMulticastBus):
 
     def __init__(self, port: int) -> None:
         """Raises CanInitializationError."""
-        BusABC.__init__(self, GROUP)
         self._multicast = _LoopbackMulticast(GROUP, port, hop_limit=0)
+        BusABC.__init__(self, GROUP)
         self._can_protocol = CanProtocol.CAN_FD  # delivered, so that the link can count and refuse them
 
     @property
@@ -45,8 +45,8 @@ class _LoopbackMulticast(GeneralPurposeUdpMulticastBus):
             sock.bind((self.group, self.port))
             membership = socket.inet_aton(self.group) + socket.inet_aton(_LOOPBACK)
             sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
-        except OSError:
+        except OSError as error:
             sock.close()
-            raise
+            raise CanInitializationError(str(error), error.errno) from error
         self.timestamp_nanosecond = True
         return sock
