@@ -13,7 +13,7 @@ from pathlib import Path
 from hil.controller_file import ControllerFile, check_controller_fits, read_controller
 from hil.errors import DocumentError, SetpointError
 from hil.gateway import Gateway
-from hil.laws import ControlLaw
+from hil.laws import ControlLaw, check_law_runs
 from hil.rig import Rig, read_rig
 from hil.setpoints import Setpoint, check_within, csv_file, parse_setpoint
 
@@ -52,16 +52,19 @@ def load_setup(
     rig_path: Path | None,
     controllers: Mapping[str, str],
     setpoints: Mapping[str, str],
+    further_texts: Mapping[str, str] | None = None,
 ) -> RunSetup:
     """Read a rig file (the shipped one without a path) and what it names, with overrides by axis.
 
     ``controllers`` and ``setpoints`` replace those of the rig file; file names in the rig file are relative
-    to it, in overrides to the working directory. Raises DocumentError or SetpointError.
+    to it, in overrides to the working directory. ``further_texts`` are kept with the run. Raises DocumentError or SetpointError.
     """
     source = rig_path or PACKAGE / RIG_NAME
     base = source.parent
     texts = {RIG_NAME: read_text(source), DBC_NAME: read_text(PACKAGE / "wire" / DBC_NAME)}
-    rig = read_rig(texts[RIG_NAME], str(rig_path or RIG_NAME))
+    texts |= further_texts or {}
+    sources = {RIG_NAME: str(rig_path or RIG_NAME)}
+    rig = read_rig(texts[RIG_NAME], sources[RIG_NAME])
     for option, given in (("--controller", controllers), ("--setpoint", setpoints)):
         for name in given:
             if name not in rig.axes:
@@ -69,29 +72,37 @@ def load_setup(
     chosen: dict[str, str] = {}
     for name, axis in rig.axes.items():
         if name in controllers:
-            texts[f"controllers/{name}.json"] = read_text(_controller_path(controllers[name], Path()))
+            path = _controller_path(controllers[name], Path())
         else:
-            texts[f"controllers/{name}.json"] = read_text(_controller_path(axis.controller, base))
+            path = _controller_path(axis.controller, base)
+        document = f"controllers/{name}.json"
+        texts[document], sources[document] = read_text(path), str(path)
         chosen[name] = setpoints.get(name, axis.setpoint)
         file = csv_file(chosen[name])
         if file is not None:
             path = Path(file) if name in setpoints else base / file
             texts[f"setpoints/{name}.csv"] = read_text(path)
-    return setup_from_texts(texts, chosen)
+    return setup_from_texts(texts, chosen, sources)
 
 
-def setup_from_texts(texts: Mapping[str, str], setpoints: Mapping[str, str]) -> RunSetup:
+def setup_from_texts(
+    texts: Mapping[str, str], setpoints: Mapping[str, str], sources: Mapping[str, str] | None = None
+) -> RunSetup:
     """Build and cross-check a setup from its documents, as a recording holds them.
 
+    ``sources`` are the files that the documents were read from, for errors; without one its name is used.
     Raises DocumentError or SetpointError.
     """
-    rig = read_rig(_part(texts, RIG_NAME), RIG_NAME)
+    sources = sources or {}
+    rig = read_rig(_part(texts, RIG_NAME), sources.get(RIG_NAME, RIG_NAME))
     files: dict[str, ControllerFile] = {}
     parsed: dict[str, Setpoint] = {}
     for name, axis in rig.axes.items():
-        source = f"controllers/{name}.json"
-        files[name] = read_controller(_part(texts, source), source)
-        check_controller_fits(files[name], f"{name}: {files[name].name}", rig.loop.period_s, axis.unit)
+        document = f"controllers/{name}.json"
+        source = f"{name}: {sources.get(document, document)}"
+        files[name] = controller = read_controller(_part(texts, document), source)
+        check_controller_fits(controller, source, rig.loop.period_s, axis.unit)
+        check_law_runs(controller.law, controller.sample_time_s, source)
         if name not in setpoints:
             raise SetpointError(f"no setpoint for axis {name}")
         is_table = csv_file(setpoints[name]) is not None
@@ -104,7 +115,7 @@ def setup_from_texts(texts: Mapping[str, str], setpoints: Mapping[str, str]) -> 
 def read_text(path: Path) -> str:
     """The text of a file. Raises DocumentError where it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
