@@ -13,7 +13,7 @@ from pathlib import Path
 from time import monotonic_ns, time_ns
 from typing import TYPE_CHECKING, Protocol
 
-from firmware_sim.linear_plant import LinearPlant
+from firmware_sim.plant_options import add_plant_options, build_plant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.errors import DocumentError, EnvironmentLackError, HilError
 from hil.frames import Frame
@@ -44,14 +44,15 @@ def main(argv: list[str] | None = None) -> int:
         if options.parent_pid is not None:
             _die_with(options.parent_pid)
         rig = _read_rig(options.rig)
+        plant, plant_name = build_plant(rig, options)
         bus, spec = _open(options.bus)
     except HilError as error:
         return _complain(error, 2)
     with contextlib.closing(bus):
         try:
-            print(_description(rig, spec), flush=True)
+            print(_description(rig, plant_name, spec), flush=True)
             _take_priority()
-            simulate(SimulatedRig(rig, LinearPlant(rig)), bus)
+            simulate(SimulatedRig(rig, plant), bus)
         except HilError as error:
             return _complain(error, 1)
     return 0
@@ -103,6 +104,7 @@ def _parser() -> argparse.ArgumentParser:
         "serial adapter; pty: make a serial device with the boards behind it, and say its name",
     )
     parser.add_argument("--rig", type=Path, metavar="FILE", help="rig file (the shipped rig.toml)")
+    add_plant_options(parser)
     parser.add_argument(
         "--parent-pid", type=int, metavar="PID", help="end when this process, which must be the parent, ends"
     )
@@ -132,12 +134,11 @@ def _open(spec: str) -> tuple[Bus, str]:
     return open_link(spec), spec
 
 
-def _description(rig: Rig, spec: str) -> str:
-    axes = ", ".join(rig.axes)
+def _description(rig: Rig, plant_name: str, spec: str) -> str:
     return (
         f"boards 0x10 (ADC) and 0x20 (DAC), 12 bit; commands apply {rig.dac.apply}, "
         f"watchdog {rig.dac.watchdog_periods} periods of {rig.loop.period_s:g} s\n"
-        f"plant: the linear model, eq. (15), for {axes}\n"
+        f"plant: {plant_name}\n"
         f"join with: hil run --bus {spec}"
     )
 

@@ -5,6 +5,7 @@ matplotlib is imported here alone.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,11 +33,12 @@ class _Stay(NamedTuple):
     to_s: float
 
 
-def plot_run(recording: Recording, path: Path) -> None:
+def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: str = "") -> None:
     """Write the run as a PNG: a column an axis. Time 0 is where the controllers began to act.
 
-    States other than running are shaded, faults marked and named. Raises RecordingError when there is nothing
-    to draw, or ``path`` cannot be written.
+    ``axes`` are those to draw, all of them when empty; ``title`` stands above a run without a fault. States
+    other than running are shaded, faults marked and named. Raises RecordingError when there is nothing to
+    draw, or ``path`` cannot be written.
     """
     timing = recording.timing()
     if len(timing) == 0:
@@ -44,10 +46,11 @@ def plot_run(recording: Recording, path: Path) -> None:
     start_ns = _start_ns(timing, recording.state_names)
     stays = _stays(timing, recording.state_names, start_ns)
     faults = [(now_ns, event) for now_ns, event in recording.events() if event.severity >= Severity.FATAL]
-    figure = Figure(figsize=(PANEL_WIDTH_IN * len(recording.axes), HEIGHT_IN), dpi=DPI, layout="constrained")
+    units = {name: recording.axes[name] for name in axes or recording.axes}
+    figure = Figure(figsize=(PANEL_WIDTH_IN * len(units), HEIGHT_IN), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(2, len(recording.axes), sharex=True, squeeze=False, height_ratios=(3, 2))
-    for (name, unit), (upper, lower) in zip(recording.axes.items(), panels.T, strict=True):
+    panels = figure.subplots(2, len(units), sharex=True, squeeze=False, height_ratios=(3, 2))
+    for (name, unit), (upper, lower) in zip(units.items(), panels.T, strict=True):
         upper.set_title(name)
         _draw_axis(upper, lower, recording.axis(name), start_ns, unit)
         _label_stays(upper, stays)
@@ -58,6 +61,8 @@ def plot_run(recording: Recording, path: Path) -> None:
     panels[0, 0].legend(loc="best", fontsize=8)
     if faults:
         figure.suptitle(_fault_text(faults[0][1]), color=VERMILION, fontsize=10)
+    elif title:
+        figure.suptitle(title, fontsize=10)
     try:
         figure.savefig(path, format="png")
     except OSError as error:

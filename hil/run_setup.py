@@ -57,7 +57,9 @@ def load_setup(
     """Read a rig file (the shipped one without a path) and what it names, with overrides by axis.
 
     ``controllers`` and ``setpoints`` replace those of the rig file; file names in the rig file are relative
-    to it, in overrides to the working directory. ``further_texts`` are kept with the run. Raises DocumentError or SetpointError.
+    to it, in overrides to the working directory. ``further_texts`` are kept with the run.
+
+    Raises DocumentError or SetpointError.
     """
     source = rig_path or PACKAGE / RIG_NAME
     base = source.parent

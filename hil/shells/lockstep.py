@@ -10,6 +10,7 @@ from collections import deque
 from typing import Protocol
 
 from hil.frames import Frame
+from hil.shells.run_plan import Ending, StopRequest
 from hil.shells.session import Session
 
 
@@ -36,7 +37,7 @@ class Lockstep:
         """Simulated time."""
         return self._now_ns
 
-    def run(self, session: Session) -> None:
+    def run(self, session: Session, stop: StopRequest) -> None:
         """Step until the session's plan is over."""
         boards, gateway = self._boards, session.gateway
         self._deliver(session, boards.start(self._now_ns))
@@ -48,6 +49,8 @@ class Lockstep:
                 self._now_ns = gateway.next_deadline_ns
                 session.on_deadline(self._now_ns)
                 self._deliver(session, ())
+                if stop.is_set:
+                    session.plan.end(Ending.INTERRUPTED)
 
     def _deliver(self, session: Session, to_gateway: tuple[Frame, ...]) -> None:
         """Carry frames both ways until the bus is silent."""

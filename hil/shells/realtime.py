@@ -10,25 +10,14 @@ from time import monotonic_ns
 
 from hil.errors import LinkError
 from hil.links import Link
-from hil.shells.run_plan import Ending
+from hil.shells.run_plan import Ending, StopRequest
 from hil.shells.session import Session
 
 MOST_WAITING_FRAMES = 64
 """Frames taken from a backlog before a due deadline is served all the same."""
 
 
-class StopRequest:
-    """Set by a signal handler; the loop looks at it once a period."""
-
-    def __init__(self) -> None:
-        self.is_set = False
-
-    def set(self, *_signal: object) -> None:
-        """Ask the run to end; usable as a signal handler."""
-        self.is_set = True
-
-
-def run_realtime(session: Session, link: Link, stop: StopRequest) -> None:
+def run(session: Session, link: Link, stop: StopRequest) -> None:
     """Run until the session's plan is over. A failing link ends the run with centred valves."""
     while not session.plan.is_over:
         try:

@@ -21,6 +21,17 @@ class Ending(StrEnum):
     LINK = "link failed"
 
 
+class StopRequest:
+    """Set by a signal handler; the shells look at it once a period."""
+
+    def __init__(self) -> None:
+        self.is_set = False
+
+    def set(self, *_signal: object) -> None:
+        """Ask the run to end; usable as a signal handler."""
+        self.is_set = True
+
+
 class RunPlan:
     """Consulted once a period; says which trigger to give, and when the run is over."""
 

@@ -1,0 +1,162 @@
+"""Puts a run together: boards, link, recorder, audience and core, in real time or in lockstep."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import platform
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from firmware_sim.plant_options import build_plant, plant_arguments
+from hil import __version__
+from hil.errors import LinkError
+from hil.events import Event, Severity
+from hil.gateway import Gateway
+from hil.recording.recorder import Recorder, RecorderReport, RunHeader
+from hil.run_setup import RunSetup
+from hil.shells.run_plan import RunPlan, StopRequest
+from hil.shells.session import Session
+
+if TYPE_CHECKING:
+    from hil.links import Link
+
+LOCKSTEP_EPOCH_NS = 1_000_000_000_000_000_000
+"""Simulated time begins here (2001-09-09), so that lockstep files depend on nothing but the setup."""
+SIMULATED = "sim"
+MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".csv": "text/csv"}
+
+
+def run_realtime(
+    setup: RunSetup, plan: RunPlan, path: Path, duration_s: float, bus: str, options: argparse.Namespace
+) -> RecorderReport:
+    """Run on ``bus``; ``sim`` starts the boards in a process of their own on a bus of their own."""
+    from hil.links import open_link
+    from hil.rights import real_time_rights
+    from hil.shells.display import Display
+    from hil.shells.realtime import run
+
+    spec = f"udp:{_free_udp_port()}" if bus == SIMULATED else bus
+    stop = _stop_on_signals()
+    axes = [(name, axis.unit) for name, axis in setup.rig.axes.items()]
+    with contextlib.ExitStack() as stack:
+        if bus == SIMULATED:
+            stack.enter_context(_boards_process(spec, options))
+        link = stack.enter_context(open_link(spec))
+        epoch_offset_ns = time.time_ns() - time.monotonic_ns()
+        header = _header(setup, epoch_offset_ns, spec, link.stamp_origin, _host_versions())
+        recorder = Recorder(path, header, lossless=False)
+        display = Display(axes, duration_s)
+        stack.callback(display.close)
+        with real_time_rights() as rights:
+            gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
+            session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display)
+            session.note(Event(Severity.INFO, "rights", str(rights)))
+            run(session, link, stop)
+        ending = _ending(plan, gateway) | {
+            "frames dropped by the kernel": _dropped(link),
+            "frames not sent": str(link.send_failures),
+        }
+        return recorder.close({"rights": rights.as_metadata(), "ending": ending})
+
+
+def run_lockstep(
+    setup: RunSetup, plan: RunPlan, path: Path, duration_s: float, options: argparse.Namespace
+) -> RecorderReport:
+    """Run against simulated boards in this process, in simulated time: the same bytes on every run."""
+    from firmware_sim.simulated_rig import SimulatedRig
+    from hil.cli.progress import LockstepProgress
+    from hil.shells.lockstep import Lockstep
+
+    plant, _ = build_plant(setup.rig, options)
+    stop = _stop_on_signals()
+    recorder = Recorder(path, _header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}), lossless=True)
+    lockstep = Lockstep(SimulatedRig(setup.rig, plant), 0)
+    gateway = setup.gateway(setup.rig.loop.period_ns)
+    with LockstepProgress(duration_s) as progress:
+        lockstep.run(Session(gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress), stop)
+    return recorder.close({"ending": _ending(plan, gateway)})
+
+
+def _header(
+    setup: RunSetup, epoch_offset_ns: int, bus: str, stamp_origin: str, versions: dict[str, str]
+) -> RunHeader:
+    return RunHeader(
+        epoch_offset_ns=epoch_offset_ns,
+        bus=bus,
+        stamp_origin=stamp_origin,
+        axes=tuple((name, axis.unit) for name, axis in setup.rig.axes.items()),
+        attachments={
+            name: (MEDIA_TYPES.get(Path(name).suffix, "text/plain"), text.encode())
+            for name, text in setup.texts.items()
+        },
+        metadata={
+            "run": {"configuration sha256": setup.fingerprint(), "hil": __version__, **versions},
+            "setpoints": {name: setpoint.text for name, setpoint in setup.setpoints.items()},
+        },
+    )
+
+
+def _host_versions() -> dict[str, str]:
+    return {
+        "python": platform.python_version(),
+        "python-can": version("python-can"),
+        "kernel": platform.release(),
+        "host": platform.node(),
+    }
+
+
+def _ending(plan: RunPlan, gateway: Gateway) -> dict[str, str]:
+    return {
+        "reason": str(plan.ending),
+        "fault": gateway.fault_reason or "",
+        "missed periods": str(gateway.missed_periods),
+        "rejected frames": str(gateway.rejected_frames),
+        "lost samples": str(gateway.lost_samples),
+    }
+
+
+@contextlib.contextmanager
+def _boards_process(spec: str, options: argparse.Namespace) -> Iterator[None]:
+    """The boards in a process and session of their own, which a kill of this one ends too."""
+    command = [sys.executable, "-m", "firmware_sim", "--bus", spec, "--parent-pid", str(os.getpid())]
+    if options.rig is not None:
+        command += ["--rig", str(options.rig)]
+    process = subprocess.Popen(
+        [*command, *plant_arguments(options)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C is for the gateway, which centres the valves while the boards listen
+    )
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _stop_on_signals() -> StopRequest:
+    stop = StopRequest()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop.set)
+    return stop
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _dropped(link: Link) -> str:
+    with contextlib.suppress(LinkError, OSError):
+        return str(link.dropped())
+    return "unknown"
