@@ -1,0 +1,267 @@
+"""``hil design``: from a plant model to a controller file that the daemon runs, with a report.
+
+Reads and writes the files; what is designed is in ``procedure``, what is told in ``report``. 0: done. 1: the
+controller should not be run as it is, or (``--paper``) a figure does not reproduce.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from hil.errors import DocumentError, HilError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from design.design_file import DesignFile
+    from design.measured import ModelFit
+    from design.paper_claims import Verdict
+    from design.plant import Plant
+    from design.procedure import Design, OnProgress
+    from design.search import Progress
+
+DESIGN_NAME = "design.toml"
+AXIS_OF_UNIT = {"m": "vertical", "rad": "rotation"}
+"""The axis of the shipped rig that the closing hint names."""
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """Everything that was read."""
+
+    design_file: DesignFile
+    plant: Plant
+    further: list[Plant]
+    measured: ModelFit | None
+
+
+def main(argv: list[str]) -> int:
+    """Run ``hil design``; returns the exit status. Raises HilError for what the user can put right."""
+    options = _parser().parse_args(argv)
+    if options.init:
+        return _write_example()
+    if options.paper:
+        return _reproduce_paper(options)
+    inputs = _read(options)
+    from rich.console import Console
+
+    from design.controller_files import controller_files
+    from design.procedure import carry_out
+
+    console = Console(highlight=False)
+    with _progress_bars() as on_progress:
+        design = carry_out(inputs.design_file, inputs.plant, inputs.further, on_progress)
+    directory: Path = options.out or Path("designs") / inputs.plant.name
+    _write_report(directory, design, f"Controller design: {inputs.plant.name}", inputs.measured)
+    for name, text in controller_files(design).items():
+        _write_file(directory / f"{name}.json", text)
+    console.print(_table(design))
+    return _tell(console, design, directory)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="hil design",
+        description="Design a controller for an identified plant: H-infinity loop shaping, fixed structure.",
+        epilog="Without PLANT: the paper's, eq. (15). The design file has everything else that can be "
+        "asked for, with its default; --init writes one.",
+    )
+    parser.add_argument("plant", nargs="?", type=Path, metavar="PLANT", help="plant file, JSON (the paper's)")
+    parser.add_argument("--design", type=Path, metavar="FILE", help="design file, TOML (the shipped example)")
+    parser.add_argument("--structure", metavar="NAME", help="controller structure, with its own boxes (pid)")
+    parser.add_argument("--seed", type=_seed, metavar="N", help="seed of every search (1)")
+    parser.add_argument("--axis-unit", choices=("m", "rad"), help="refuse a plant in another unit")
+    parser.add_argument(
+        "--measured", type=Path, metavar="CSV", help="record time_s,u,y to hold the model against"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where results go (designs/<plant's name>)")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--paper", action="store_true", help="reproduce the paper's figures, with verdicts")
+    what.add_argument("--init", action="store_true", help=f"write {DESIGN_NAME}, commented, to begin from")
+    return parser
+
+
+def _write_example() -> int:
+    from rich.console import Console
+
+    from design.design_file import example_text
+
+    path = Path(DESIGN_NAME)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(example_text())
+    except FileExistsError:
+        raise DocumentError(f"{path} exists already; it is left as it is") from None
+    Console(highlight=False).print(f"{path} written: change it, then `hil design PLANT --design {path}`")
+    return 0
+
+
+def _read(options: argparse.Namespace) -> _Inputs:
+    from design.design_file import ControllerStructure, example_text, read_design
+    from design.plant import check_plant_fits, paper_plant, read_plant
+
+    text = _text(options.design) if options.design else example_text()
+    design_file = read_design(text, str(options.design or DESIGN_NAME))
+    if options.structure:
+        kept = design_file.controller.must_meet_specifications
+        structure = ControllerStructure(structure=options.structure, must_meet_specifications=kept)
+        design_file = msgspec.structs.replace(design_file, controller=structure)
+    if options.seed is not None:
+        design_file = design_file.with_seed(options.seed)
+    plant = read_plant(_text(options.plant), str(options.plant)) if options.plant else paper_plant()
+    base = options.design.parent if options.design else Path()
+    further = [read_plant(_text(base / name), name) for name in design_file.further_plants.files]
+    unit = options.axis_unit or design_file.axis_unit
+    if unit is not None:
+        check_plant_fits(plant, str(options.plant or plant.name), unit)
+    for other, name in zip(further, design_file.further_plants.files, strict=True):
+        check_plant_fits(other, name, plant.output_unit)
+    measured = None
+    if options.measured:
+        from design.measured import compare
+
+        measured = compare(plant, _text(options.measured), str(options.measured))
+    return _Inputs(design_file, plant, further, measured)
+
+
+def _reproduce_paper(options: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.table import Table
+
+    from design.paper import reproduce
+
+    console = Console(highlight=False)
+    with _progress_bars() as on_progress:
+        reproduction = reproduce(on_progress)
+    directory: Path = options.out or Path("designs") / "paper-reproduction"
+    verdicts = reproduction.verdicts
+    _write_report(directory, reproduction.design, "The paper, reproduced", None, verdicts)
+    table = Table("where", "what", "paper", "here", "verdict", box=None, pad_edge=False)
+    for verdict in verdicts:
+        style = "red" if verdict.failed else ("green" if verdict.agrees else "yellow")
+        table.add_row(
+            verdict.where, verdict.what, verdict.printed, verdict.ours, f"[{style}]{verdict.text}[/{style}]"
+        )
+    console.print(table)
+    for verdict in verdicts:
+        if not verdict.agrees:
+            console.print(f"[bold]{verdict.where}, {verdict.what}:[/bold] {verdict.why}")
+    failed = sum(verdict.failed for verdict in verdicts)
+    agreeing = sum(verdict.agrees for verdict in verdicts)
+    console.print(
+        f"{agreeing} of {len(verdicts)} reproduced, {len(verdicts) - agreeing - failed} differ for the "
+        f"reasons above, {failed} should agree and do not\nreport  {directory / 'report.html'}"
+    )
+    return 1 if failed else 0
+
+
+def _write_report(
+    directory: Path,
+    design: Design,
+    title: str,
+    measured: ModelFit | None,
+    verdicts: Sequence[Verdict] = (),
+) -> None:
+    """The report, and each figure as a file of its own."""
+    from design.report import design_figures, render
+
+    drawn = design_figures(design, measured)
+    for figure in drawn:
+        _write_file(directory / "figures" / f"{figure.key}.svg", figure.svg)
+    _write_file(
+        directory / "report.html", render(design, drawn, title=title, measured=measured, verdicts=verdicts)
+    )
+
+
+def _write_file(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise HilError(f"{error.filename or path}: cannot be written: {error.strerror}") from None
+
+
+def _table(design: Design) -> object:
+    """The comparison, for the terminal."""
+    from rich.table import Table
+
+    from design.comparison import table_rows
+
+    table = Table("", "", box=None, pad_edge=False)
+    for i, candidate in enumerate(design.candidates):
+        table.add_column(candidate.name, justify="right", style="bold" if i == 0 else None)
+    for row in table_rows(design.plant.output_unit, design.problem.rig_sampling):
+        table.add_row(row.label, row.unit, *(row.text(m) for m in design.measures))
+    return table
+
+
+def _tell(console: Console, design: Design, directory: Path) -> int:
+    """What was found, what speaks against it, and what to do next."""
+    values = ", ".join(f"{name} {value:.5g}" for name, value in design.designed.parameters.items())
+    share = 100.0 * design.eps / design.problem.eps_opt
+    console.print(f"\n[bold]{design.designed.name}[/bold]  {values}")
+    console.print(f"ε {design.eps:.4f}, {share:.1f} % of what any controller could have with this weight")
+    for guarantee in design.guarantees:
+        sure = "guaranteed stable" if guarantee.guaranteed else "not guaranteed by ε alone"
+        console.print(
+            f"plant {guarantee.plant.name}: ν-gap {guarantee.gap:.3f}, {sure}; "
+            f"ε there {guarantee.eps_there:.3f}"
+        )
+    for note in design.notes:
+        console.print(f"not compared: {note}")
+    warnings = design.warnings()
+    for warning in warnings:
+        console.print(warning, style="red")
+    axis = AXIS_OF_UNIT[design.plant.output_unit]
+    console.print(
+        f"\nreport      {directory / 'report.html'}\ncontroller  {directory / 'controller.json'}\n"
+        f"next        hil run --controller {axis}={directory / 'controller.json'}",
+        soft_wrap=True,
+    )
+    return 1 if warnings else 0
+
+
+@contextmanager
+def _progress_bars() -> Iterator[OnProgress]:
+    """A bar for each stage of the search with the best fitness so far; silent where nobody watches."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+    from rich.progress import Progress as Bars
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[best]}"),
+    )
+    with Bars(*columns, console=Console(stderr=True)) as bars:
+        tasks = {}
+
+        def on_progress(stage: str, progress: Progress, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total, best="")
+            best = (
+                f"best ε {progress.best_fitness:.4f}" if progress.best_fitness > 0.0 else "none feasible yet"
+            )
+            bars.update(tasks[stage], completed=progress.evaluations, best=best)
+
+        yield on_progress
+
+
+def _text(path: Path) -> str:
+    from hil.run_setup import read_text
+
+    return read_text(path)
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 0")
+    return int(text)
