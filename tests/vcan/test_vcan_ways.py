@@ -5,7 +5,7 @@ import sys
 
 from hil.vcan import Way, choose_way
 
-VCAN = [sys.executable, "-m", "hil.vcan", "--"]
+VCAN = [sys.executable, "-m", "hil.cli", "vcan", "--"]
 EXCHANGE = "candump -L -n 1 vcan0 & until cansend vcan0 123#C0FFEE && ! kill -0 $!; do :; done; exit 9"
 
 

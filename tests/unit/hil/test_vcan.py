@@ -16,7 +16,7 @@ import pytest
 from hil.errors import EnvironmentLackError
 from hil.vcan import Way, choose_way, main, user_mode_linux
 
-VCAN = [sys.executable, "-m", "hil.vcan", "--"]
+VCAN = [sys.executable, "-m", "hil.cli", "vcan", "--"]
 
 
 def run(*command: str | bytes, **options: object) -> subprocess.CompletedProcess[bytes]:
