@@ -2,8 +2,62 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
+SOURCES_OF_INSTALL := pyproject.toml setup.py requirements.lock $(wildcard firmware_sim/arm/*.c)
 
-.venv/installed-run: pyproject.toml requirements.lock
+.SILENT:
+.PHONY: run test bench lock clean run-packages test-packages
+
+run: .venv/for-run
+	$(BIN)/hil run
+
+test: .venv/for-test test-packages
+	$(BIN)/ruff check --quiet .
+	$(BIN)/ruff format --check --quiet .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -q tests/unit $(wildcard tests/property)
+	$(BIN)/hil vcan -- $(BIN)/python -m pytest -q tests/vcan
+	$(BIN)/python -m pytest -q tests/acceptance
+
+# Each prints its figures beside a peer's, measured in the same run.
+bench: .venv/for-test
+	for script in tests/benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+lock: .venv/for-test
+	$(BIN)/pip install --quiet pip-tools
+	$(BIN)/pip-compile --quiet --extra test --strip-extras --no-emit-index-url --no-emit-find-links \
+		--no-emit-trusted-host --no-annotate --no-header -o requirements.lock pyproject.toml
+
+clean:
+	rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find hil firmware_sim design tests -name __pycache__ -prune -exec rm -rf {} +
+	rm -f firmware_sim/arm/*.so
+
+.venv/for-run: $(SOURCES_OF_INSTALL) | run-packages
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet -c requirements.lock -e .
+	$(BIN)/pip install --quiet --disable-pip-version-check -c requirements.lock -e .
 	touch $@
+
+.venv/for-test: $(SOURCES_OF_INSTALL) | run-packages
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[test]'
+	touch $@ .venv/for-run
+
+# Debian packages, each only where what it provides is missing.
+run-packages:
+	$(MISSING); \
+	$(PYTHON) -c 'import ensurepip' 2>/dev/null || need python3-venv; \
+	echo '#include <math.h>' | gcc -E - >/dev/null 2>&1 || need gcc libc6-dev; \
+	$(INSTALL)
+
+test-packages:
+	$(MISSING); PATH=$$PATH:/usr/sbin:/sbin; \
+	command -v linux.uml >/dev/null || need user-mode-linux; \
+	command -v modprobe >/dev/null || need kmod; \
+	command -v ip >/dev/null || need iproute2; \
+	command -v candump >/dev/null || need can-utils; \
+	$(INSTALL)
+
+MISSING := missing=; need() { missing="$$missing $$*"; }
+INSTALL := [ -z "$$missing" ] || { echo "installing$$missing" && $(SUDO) apt-get update -qq && $(SUDO) env \
+	DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $$missing >/dev/null; }
