@@ -3,6 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
+PYTHON_CODE := hil firmware_sim design tests setup.py
 SOURCES_OF_INSTALL := pyproject.toml setup.py requirements.lock $(wildcard firmware_sim/arm/*.c)
 
 .SILENT:
@@ -12,8 +13,8 @@ run: .venv/for-run
 	$(BIN)/hil run
 
 test: .venv/for-test test-packages
-	$(BIN)/ruff check --quiet .
-	$(BIN)/ruff format --check --quiet .
+	$(BIN)/ruff check --quiet $(PYTHON_CODE)
+	$(BIN)/ruff format --check --quiet $(PYTHON_CODE)
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/unit $(wildcard tests/property)
 	$(BIN)/hil vcan -- $(BIN)/python -m pytest -q tests/vcan
@@ -35,12 +36,12 @@ clean:
 
 .venv/for-run: $(SOURCES_OF_INSTALL) | run-packages
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check -c requirements.lock -e .
+	$(BIN)/pip install -qq --disable-pip-version-check -c requirements.lock -e .
 	touch $@
 
 .venv/for-test: $(SOURCES_OF_INSTALL) | run-packages
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[test]'
+	$(BIN)/pip install -qq --disable-pip-version-check -c requirements.lock -e '.[test]'
 	touch $@ .venv/for-run
 
 # Debian packages, each only where what it provides is missing.
