@@ -53,24 +53,26 @@ def ultimate_cycle(G: TransferFunction, sampling: Sampling | None = None) -> Ult
     The largest gain that keeps the loop stable, negative for a plant of negative gain. Raises DesignError
     where there is none: no gain stabilises, every gain does, or stability is lost without an oscillation.
     """
-    gains, omegas = _marginal(G)
-    for sign in (1.0, -1.0):
-        cycle = _last_stable(G, sign, gains, omegas)
-        if cycle is None:
-            continue
-        gain, omega = cycle
-        if np.isinf(gain):
-            raise DesignError(
-                "the loop has no ultimate cycle: it stays stable at every proportional gain"
-                + ("" if sampling else "; the sampled loop has one")
-            )
-        if omega == 0.0 or (sampling is None and np.isinf(omega)):
-            raise DesignError(
-                f"the loop has no ultimate cycle: past a gain of {gain:.4g} it drifts instead of oscillating"
-            )
+    ends = _marginal(G)
+    n, d = np.ravel(G.num), np.ravel(G.den)
+    # Feedback is negative where k n(0) helps d(0).
+    sign = 1.0 if np.trim_zeros(n, "b")[-1] * np.trim_zeros(d, "f")[0] > 0.0 else -1.0
+    found = [end for end in (_last_stable(G, sign, ends), _last_stable(G, -sign, ends)) if end is not None]
+    if not found:
+        raise DesignError("the loop has no ultimate cycle: no proportional gain stabilises the plant")
+    for gain, omega in found:
         true_omega = omega if sampling is None else float(sampling.unwarp(omega))
-        return UltimateCycle(gain, float(2.0 * np.pi / true_omega))
-    raise DesignError("the loop has no ultimate cycle: no proportional gain stabilises the plant")
+        if 0.0 < true_omega < np.inf and np.isfinite(gain):
+            return UltimateCycle(gain, 2.0 * np.pi / true_omega)
+    gain, _ = found[0]
+    if np.isinf(gain):
+        raise DesignError(
+            "the loop has no ultimate cycle: it stays stable at every proportional gain"
+            + ("" if sampling else "; the sampled loop has one")
+        )
+    raise DesignError(
+        f"the loop has no ultimate cycle: past a gain of {gain:.4g} it drifts instead of oscillating"
+    )
 
 
 def ziegler_nichols(cycle: UltimateCycle) -> PidGains:
@@ -93,8 +95,8 @@ def _pid(kp: float, ti: float, td: float) -> PidGains:
     return PidGains(kp, kp / ti, kp * td, td / FILTER_N)
 
 
-def _marginal(G: TransferFunction) -> tuple[list[float], list[float]]:
-    """Gains k at which d + k n has a root on the axis, rising, and its ω: 0, finite, or ∞ (z = -1)."""
+def _marginal(G: TransferFunction) -> list[tuple[float, float]]:
+    """Gains k at which d + k n has a root on the axis, each with its ω: 0, finite, or ∞ (z = -1)."""
     n, d = np.ravel(G.num), np.ravel(G.den)
     n = poly.add(n, np.zeros(len(d)))
     found = [(-d[-1] / n[-1], 0.0)] if n[-1] != 0.0 else []
@@ -107,15 +109,14 @@ def _marginal(G: TransferFunction) -> tuple[list[float], list[float]]:
     for omega in np.sqrt(crossing[real].real):
         loop = complex(np.polyval(d, 1j * omega) / np.polyval(n, 1j * omega))
         found.append((-loop.real, float(omega)))
-    found.sort()
-    return [float(k) for k, _ in found], [float(omega) for _, omega in found]
+    return [(float(k), float(omega)) for k, omega in found]
 
 
 def _last_stable(
-    G: TransferFunction, sign: float, gains: list[float], omegas: list[float]
+    G: TransferFunction, sign: float, ends: list[tuple[float, float]]
 ) -> tuple[float, float] | None:
     """The end of the last stable range of gains of one sign: the gain and its ω; None if none is stable."""
-    ends = sorted((abs(k), omega) for k, omega in zip(gains, omegas, strict=True) if sign * k > 0.0)
+    ends = sorted((abs(k), omega) for k, omega in ends if sign * k > 0.0)
     bounds = [0.0, *(k for k, _ in ends)]
     inside = [0.5 * (low + high) for low, high in pairwise(bounds)]
     inside.append(2.0 * bounds[-1] if ends else 1.0)

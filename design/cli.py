@@ -7,6 +7,7 @@ controller should not be run as it is, or (``--paper``) a figure does not reprod
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,8 +29,11 @@ if TYPE_CHECKING:
     from design.search import Progress
 
 DESIGN_NAME = "design.toml"
+PLANTS = Path(__file__).parent / "plants"
+PAPER = "paper"
+AXES = ("vertical", "horizontal", "rotation")
 AXIS_OF_UNIT = {"m": "vertical", "rad": "rotation"}
-"""The axis of the shipped rig that the closing hint names."""
+"""The axis of the shipped rig that the closing hint names, where the plant does not bear an axis' name."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ def main(argv: list[str]) -> int:
     console = Console(highlight=False)
     with _progress_bars() as on_progress:
         design = carry_out(inputs.design_file, inputs.plant, inputs.further, on_progress)
-    directory: Path = options.out or Path("designs") / inputs.plant.name
+    directory: Path = options.out or Path("designs") / re.sub(r"[^\w.-]+", "-", inputs.plant.name)
     _write_report(directory, design, f"Controller design: {inputs.plant.name}", inputs.measured)
     for name, text in controller_files(design).items():
         _write_file(directory / f"{name}.json", text)
@@ -73,7 +77,10 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Without PLANT: the paper's, eq. (15). The design file has everything else that can be "
         "asked for, with its default; --init writes one.",
     )
-    parser.add_argument("plant", nargs="?", type=Path, metavar="PLANT", help="plant file, JSON (the paper's)")
+    shipped = ", ".join(_shipped_plants())
+    parser.add_argument(
+        "plant", nargs="?", default=PAPER, metavar="PLANT", help=f"plant file, or a shipped one: {shipped}"
+    )
     parser.add_argument("--design", type=Path, metavar="FILE", help="design file, TOML (the shipped example)")
     parser.add_argument("--structure", metavar="NAME", help="controller structure, with its own boxes (pid)")
     parser.add_argument("--seed", type=_seed, metavar="N", help="seed of every search (1)")
@@ -105,7 +112,7 @@ def _write_example() -> int:
 
 def _read(options: argparse.Namespace) -> _Inputs:
     from design.design_file import ControllerStructure, example_text, read_design
-    from design.plant import check_plant_fits, paper_plant, read_plant
+    from design.plant import check_plant_fits, read_plant
 
     text = _text(options.design) if options.design else example_text()
     design_file = read_design(text, str(options.design or DESIGN_NAME))
@@ -115,12 +122,12 @@ def _read(options: argparse.Namespace) -> _Inputs:
         design_file = msgspec.structs.replace(design_file, controller=structure)
     if options.seed is not None:
         design_file = design_file.with_seed(options.seed)
-    plant = read_plant(_text(options.plant), str(options.plant)) if options.plant else paper_plant()
+    plant = _plant(options.plant)
     base = options.design.parent if options.design else Path()
     further = [read_plant(_text(base / name), name) for name in design_file.further_plants.files]
     unit = options.axis_unit or design_file.axis_unit
     if unit is not None:
-        check_plant_fits(plant, str(options.plant or plant.name), unit)
+        check_plant_fits(plant, options.plant, unit)
     for other, name in zip(further, design_file.further_plants.files, strict=True):
         check_plant_fits(other, name, plant.output_unit)
     measured = None
@@ -197,7 +204,7 @@ def _table(design: Design) -> object:
     table = Table("", "", box=None, pad_edge=False)
     for i, candidate in enumerate(design.candidates):
         table.add_column(candidate.name, justify="right", style="bold" if i == 0 else None)
-    for row in table_rows(design.plant.output_unit, design.problem.rig_sampling):
+    for row in table_rows(design.plant.output_unit):
         table.add_row(row.label, row.unit, *(row.text(m) for m in design.measures))
     return table
 
@@ -219,7 +226,8 @@ def _tell(console: Console, design: Design, directory: Path) -> int:
     warnings = design.warnings()
     for warning in warnings:
         console.print(warning, style="red")
-    axis = AXIS_OF_UNIT[design.plant.output_unit]
+    plant = design.plant
+    axis = plant.name if plant.name in AXES else AXIS_OF_UNIT[plant.output_unit]
     console.print(
         f"\nreport      {directory / 'report.html'}\ncontroller  {directory / 'controller.json'}\n"
         f"next        hil run --controller {axis}={directory / 'controller.json'}",
@@ -253,6 +261,27 @@ def _progress_bars() -> Iterator[OnProgress]:
             bars.update(tasks[stage], completed=progress.evaluations, best=best)
 
         yield on_progress
+        for task in tasks.values():
+            # A search that has converged stops early.
+            bars.update(task, total=bars.tasks[task].completed)
+
+
+def _plant(name: str) -> Plant:
+    """A shipped plant, or a file."""
+    from design.plant import read_plant
+
+    if name in _shipped_plants():
+        return read_plant((PLANTS / f"{name}.json").read_text("utf-8"), name)
+    path = Path(name)
+    if not path.exists():
+        raise DocumentError(
+            f"plant {name!r}: no such file, and none of the shipped {', '.join(_shipped_plants())}"
+        )
+    return read_plant(_text(path), name)
+
+
+def _shipped_plants() -> list[str]:
+    return sorted(path.stem for path in PLANTS.glob("*.json"))
 
 
 def _text(path: Path) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -87,11 +88,11 @@ def delay_text(sampling: Sampling) -> str:
     return f"{sampling.delay_samples} sample{'' if sampling.delay_samples == 1 else 's'} of delay"
 
 
-def table_rows(axis_unit: str, rig_sampling: Sampling) -> tuple[Row, ...]:
+def table_rows(axis_unit: str) -> tuple[Row, ...]:
     """The rows of the table for an axis in ``axis_unit``."""
     return (
         Row("ε, continuous loop", "", lambda m: f"{m.eps_continuous:.4f}"),
-        Row(f"ε, sampled loop, {delay_text(rig_sampling)}", "", lambda m: f"{m.eps_sampled:.4f}"),
+        Row("ε, sampled loop", "", lambda m: f"{m.eps_sampled:.4f}"),
         Row(
             "overshoot",
             "%",
@@ -118,7 +119,7 @@ def table_rows(axis_unit: str, rig_sampling: Sampling) -> tuple[Row, ...]:
         Row("gain margin", "dB", lambda m: _number(m, 20.0 * float(np.log10(m.gain_margin)), ".1f")),
         Row("phase margin", "°", lambda m: _number(m, float(np.degrees(m.phase_margin_rad)), ".1f")),
         Row("disturbance peak", f"{axis_unit}/V", lambda m: _number(m, m.disturbance_peak, ".4f")),
-        Row("largest |u| after a step", f"V/{axis_unit}", lambda m: _number(m, m.effort_v, ".1f")),
+        Row("largest |u|, unit step", f"V/{axis_unit}", lambda m: _number(m, m.effort_v, ".1f")),
     )
 
 
@@ -138,12 +139,12 @@ class Problem:
     rig_sampling: Sampling
     horizon_s: float
 
-    @property
+    @cached_property
     def loop_plant(self) -> TransferFunction:
         """The plant as the loop designed for sees it."""
         return self.plant.transfer_function(self.sampling)
 
-    @property
+    @cached_property
     def eps_opt(self) -> float:
         """The most that any controller reaches in this loop with this weight, Appendix A."""
         return float(optimal_margins(shaped(self.loop_plant, self.weight))[0])

@@ -197,18 +197,18 @@ class DesignFile(Document, frozen=True):
 
     def weight_searcher(self, dimensions: int) -> Searcher:
         """For eqs. (8), (9); the genetic algorithm with the paper's 100 chromosomes."""
-        return self._searcher(dimensions, self.search.weight_evaluations, 100, 20)
+        return self._searcher(dimensions, self.search.weight_evaluations, 100)
 
     def controller_searcher(self, dimensions: int) -> Searcher:
         """For eqs. (13), (14); the genetic algorithm with the paper's 200 chromosomes."""
-        return self._searcher(dimensions, self.search.controller_evaluations, 200, 60)
+        return self._searcher(dimensions, self.search.controller_evaluations, 200)
 
-    def _searcher(self, dimensions: int, evaluations: int, chromosomes: int, population: int) -> Searcher:
+    def _searcher(self, dimensions: int, evaluations: int, chromosomes: int) -> Searcher:
         seed = self.search.seed
         if self.search.searcher == GENETIC_ALGORITHM:
             generations = max(evaluations // chromosomes, 1)
             return GeneticAlgorithm(dimensions, seed=seed, population=chromosomes, generations=generations)
-        return DifferentialEvolution(dimensions, seed=seed, evaluations=evaluations, population=population)
+        return DifferentialEvolution(dimensions, seed=seed, evaluations=evaluations)
 
 
 def read_design(text: str, source: str) -> DesignFile:

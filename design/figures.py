@@ -144,12 +144,12 @@ def steps(
     all_styles: dict[str, Style],
     specifications: Sequence[Specification],
 ) -> Figure:
-    """Figs 9 and 10: unit step responses y, with the limits of eq. (9), and the manipulated variable u."""
+    """Figs 9 and 10: unit step responses y of stable loops, the limits of eq. (9), and u."""
     settling = [m.settling_s for _, m in chosen if np.isfinite(m.settling_s)]
     limits = {s.quantity: s.limit for s in specifications}
     wanted = 2.0 * max([*settling, limits.get("settling_s", 0.0), 20.0 * problem.rig_sampling.period_s])
     horizon_s = float(min(wanted, problem.horizon_s))
-    responses = [(c.name, problem.step(c, horizon_s), all_styles[c.name]) for c, m in chosen if m.stable]
+    responses = [(c.name, problem.step(c, horizon_s), all_styles[c.name]) for c, _ in chosen]
     sampled = problem.sampling is not None
     x = Axis(_SECONDS, low=0.0, high=horizon_s)
     y = tuple(Curve(name, r.time_s, r.y[0], style) for name, r, style in responses)
@@ -159,11 +159,11 @@ def steps(
         marks.append(Limit(1.0 + limits["overshoot"], f"overshoot limit {100.0 * limits['overshoot']:g} %"))
     if "settling_s" in limits:
         marks.append(Limit(limits["settling_s"], f"settled by {limits['settling_s']:g} s", of_x=True))
-    top = max(1.02, 1.0 + limits.get("overshoot", 0.0), *(float(c.y.max()) for c in y))
+    top = max([1.02, 1.0 + limits.get("overshoot", 0.0), *(float(c.y.max()) for c in y)])
     panels = [
         Panel(
             x,
-            Axis("y, unit step", low=min(0.0, *(float(c.y.min()) for c in y)), high=top + 0.12),
+            Axis("y, unit step", low=min([0.0, *(float(c.y.min()) for c in y)]), high=top + 0.12),
             y,
             tuple(marks),
             (Band(0.98, 1.02, "± 2 %"),),
@@ -174,18 +174,17 @@ def steps(
 
 
 def robustness(
-    problem: Problem, chosen: Sequence[tuple[Candidate, Measures]], all_styles: dict[str, Style]
+    problem: Problem, stable: Sequence[Candidate], all_styles: dict[str, Style]
 ) -> tuple[Figure, Figure, Figure]:
-    """Fig. 11 (a) 1/|GK/(1 + GK)|, (b) 1/|K/(1 + GK)|, (c) |G/(1 + GK)|, interpreted as in Table 1."""
+    """Fig. 11 of stable loops: (a) 1/|GK/(1 + GK)|, (b) 1/|K/(1 + GK)|, (c) |G/(1 + GK)|, as in Table 1."""
     omega = problem.frequencies()
     unit = problem.plant.output_unit
     x = Axis(_OMEGA, logarithmic=True, low=float(omega[0]), high=float(omega[-1]))
-    stable = [(candidate.name, problem.gains(candidate, omega)) for candidate, m in chosen if m.stable]
+    found = {candidate.name: problem.gains(candidate, omega) for candidate in stable}
 
     def figure(key: str, title: str, caption: str, label: str, values: Sequence[Array]) -> Figure:
         curves = tuple(
-            Curve(name, omega, value, all_styles[name])
-            for (name, _), value in zip(stable, values, strict=True)
+            Curve(name, omega, value, all_styles[name]) for name, value in zip(found, values, strict=True)
         )
         panel = Panel(x, Axis(label, logarithmic=True), curves, height=270)
         return Figure(key, title, caption, draw([panel], key))
@@ -197,7 +196,7 @@ def robustness(
             "1/σ̄(GK(I + GK)⁻¹): so much relative error of the plant at its output, at this frequency, the "
             "loop is sure to bear; 1 is 100 % of the plant.",
             "1/|T|",
-            [1.0 / gains.complementary for _, gains in stable],
+            [1.0 / gains.complementary for gains in found.values()],
         ),
         figure(
             "fig11b-additive",
@@ -205,13 +204,13 @@ def robustness(
             "1/σ̄(K(I + GK)⁻¹): so much absolute error of the plant the loop is sure to bear; its inverse is "
             "the gain from output disturbance (and sensor noise) to the valve.",
             f"1/|K/(1 + GK)|, {unit}/V",
-            [1.0 / gains.effort for _, gains in stable],
+            [1.0 / gains.effort for gains in found.values()],
         ),
         figure(
             "fig11c-disturbance",
             "Fig. 11 (c). Gain from input disturbance to plant output",
             "σ̄((I + GK)⁻¹G): the lower, the better a disturbance at the valve is rejected.",
             f"|G/(1 + GK)|, {unit}/V",
-            [gains.disturbance for _, gains in stable],
+            [gains.disturbance for gains in found.values()],
         ),
     )

@@ -52,8 +52,8 @@ def compare(plant: Plant, text: str, source: str) -> ModelFit:
     num, den = to_z(plant.transfer_function(Sampling(period_s, delay_samples=0)), period_s)
     n = len(den) - 1
     forced = _filtered(num, den, u)
-    # Answers to each initial state (impulses into den), and a constant.
-    free = [_filtered(np.eye(1, n, k)[0], den, np.eye(1, len(u))[0]) for k in range(n)]
+    # Motions from every initial state, z^i/den for i = 1 … n, and a constant.
+    free = [_filtered(np.eye(1, n + 1, k)[0], den, np.eye(1, len(u))[0]) for k in range(n)]
     basis = np.stack([*free, np.ones_like(u)], axis=1)
     weights = np.linalg.lstsq(basis, y - forced, rcond=None)[0]
     return ModelFit(time_s - time_s[0], u, y, forced + basis @ weights)

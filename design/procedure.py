@@ -15,12 +15,12 @@ from design import baselines, margins
 from design.comparison import Candidate, Measures, Problem
 from design.design_file import DesignFile
 from design.differential_evolution import DifferentialEvolution
-from design.errors import DesignError
+from design.errors import DesignError, NotStabilisedError
 from design.loop_shaping import shaped
 from design.nu_gap import nu_gap
 from design.plant import Plant
 from design.search import Progress, Searcher
-from design.specifications import Reading, readings
+from design.specifications import Reading, readings, response_horizon_s
 from design.structures import STRUCTURES, Controller, Parameter, Structure, tustin_law, with_boxes
 from design.synthesis import Synthesis, synthesise
 from design.weight_selection import LEAST_COMPATIBLE, WeightSelection, select_weight
@@ -120,16 +120,23 @@ def carry_out(
         searcher=design_file.weight_searcher(len(weight_structure.parameters)),
         on_progress=stage_progress(on_progress, WEIGHT_STAGE, design_file.search.weight_evaluations),
     )
-    synthesis = synthesise(
-        against,
-        weight.weight,
-        structure,
-        specifications=specifications if design_file.controller.must_meet_specifications else (),
-        sampling=sampling,
-        searcher=design_file.controller_searcher(len(structure.parameters)),
-        on_progress=stage_progress(on_progress, CONTROLLER_STAGE, design_file.search.controller_evaluations),
+    try:
+        synthesis = synthesise(
+            against,
+            weight.weight,
+            structure,
+            specifications=specifications if design_file.controller.must_meet_specifications else (),
+            sampling=sampling,
+            searcher=design_file.controller_searcher(len(structure.parameters)),
+            on_progress=stage_progress(
+                on_progress, CONTROLLER_STAGE, design_file.search.controller_evaluations
+            ),
+        )
+    except NotStabilisedError as error:
+        raise NotStabilisedError(f"{error}{_if_reversed(plant)}") from None
+    problem = Problem(
+        plant, weight.weight, sampling, design_file.rig_sampling, response_horizon_s(specifications)
     )
-    problem = Problem(plant, weight.weight, sampling, design_file.rig_sampling, _horizon_s(design_file))
     label = design_file.controller.structure.rpartition(":")[2]
     designed = of_structure(
         f"{label.upper() if label in STRUCTURES else label} (designed)",
@@ -184,7 +191,7 @@ def stage_progress(
 
 def pi_searcher(seed: int) -> Searcher:
     """Enough of a search for the two parameters of the PI to compare with."""
-    return DifferentialEvolution(2, seed=seed, evaluations=800, population=20)
+    return DifferentialEvolution(2, seed=seed, evaluations=1500)
 
 
 def _compared(
@@ -246,6 +253,12 @@ def _guarantee(problem: Problem, designed: Candidate, other: Plant) -> Guarantee
     )
 
 
-def _horizon_s(design_file: DesignFile) -> float:
-    asked = design_file.specifications
-    return 5.0 * max((s for s in (asked.settling_s, asked.rise_s) if s is not None), default=1.2)
+def _if_reversed(plant: Plant) -> str:
+    """A hint where the plant moves against its input."""
+    G = plant.transfer_function()
+    if np.trim_zeros(G.num, "b")[-1] * np.trim_zeros(G.den, "b")[-1] > 0.0:
+        return ""
+    return (
+        ". The plant's gain is negative: reverse the valve or the potentiometer in the rig file and in the "
+        'model, or give boxes below 0 with coding = "linear"'
+    )

@@ -34,14 +34,19 @@ NO_RECORD = (
 )
 
 
+TUNED = ("ZN", "TLC")
+"""Candidates of Fig. 9; the others are in Fig. 10."""
+
+
 def design_figures(design: Design, measured: ModelFit | None = None) -> list[Figure]:
     """Figs 5 to 11 for this design, in the paper's order; Fig. 5 only with a record."""
     problem, specifications = design.problem, design.design_file.specifications.asked_for()
     styles = figures.styles(design.candidates)
     pairs = list(zip(design.candidates, design.measures, strict=True))
-    tuned = [pair for pair in pairs if pair[0].name in ("ZN", "TLC")]
-    shaped_ones = [pair for pair in pairs if pair not in tuned]
-    followed = [candidate for candidate, _ in pairs if candidate.name not in ("ZN", "TLC", "PI")]
+    stable = [pair for pair in pairs if pair[1].stable]
+    tuned = [pair for pair in stable if pair[0].name in TUNED]
+    shaped_ones = [pair for pair in stable if pair[0].name not in TUNED]
+    followed = [candidate for candidate, _ in pairs if candidate.name not in (*TUNED, "PI")]
     found = [figures.identification(measured, design.plant.output_unit)] if measured is not None else []
     found += [
         figures.convergence(
@@ -83,7 +88,7 @@ def design_figures(design: Design, measured: ModelFit | None = None) -> list[Fig
             specifications,
         )
     )
-    found += figures.robustness(problem, pairs, styles)
+    found += figures.robustness(problem, [candidate for candidate, _ in stable], styles)
     return found
 
 
@@ -101,7 +106,7 @@ def render(
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string(resources.files("design").joinpath("report.html").read_text("utf-8"))
     problem = design.problem
-    rows = table_rows(design.plant.output_unit, problem.rig_sampling)
+    rows = table_rows(design.plant.output_unit)
     limits = {s.quantity: s.limit for s in design.design_file.specifications.asked_for()}
     return template.render(
         title=title,
@@ -131,6 +136,7 @@ def render(
         weight_tf=mathml(problem.weight, "W 1"),
         shaped_tf=mathml(shaped(design.plant.transfer_function(), problem.weight), "G s"),
         loop=loop_text(design),
+        delay=delay_text(problem.rig_sampling),
         laws=[(c.name, c.method, _parameters(c.parameters), to_json(c.law)) for c in design.candidates],
         design_file=to_json(design.design_file),
         versions=versions(),
