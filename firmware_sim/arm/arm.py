@@ -78,9 +78,9 @@ class Arm:
     def __init__(self, parameters: ArmParameters, *, seed: int, changes: Iterable[AnyChange] = ()) -> None:
         self.parameters = parameters
         self._dynamics = native.Dynamics()
-        self._conditions, self._state = _charged(parameters)
-        self._arguments = byref(native.pack(parameters)), byref(self._conditions), byref(self._state)
-        self._axes = tuple(self._state.axis)
+        self.conditions, self.state = _charged(parameters)
+        self._arguments = byref(native.pack(parameters)), byref(self.conditions), byref(self.state)
+        self._axes = tuple(self.state.axis)
         self._travel = parameters.travel
         self._step_s = parameters.step_s
         random = Random(seed)
@@ -88,10 +88,10 @@ class Arm:
             (PotentiometerOutput(axis.potentiometer, random), state, travel)
             for axis, state, travel in zip(parameters.ordered, self._axes, self._travel, strict=True)
         ]
-        sound_m_s = math.sqrt(HEAT_RATIO * GAS_J_KG_K * self._conditions.air_k)
+        sound_m_s = math.sqrt(HEAT_RATIO * GAS_J_KG_K * self.conditions.air_k)
         self._inputs = [
             (ValveInput(axis.valve), round(1e9 * axis.cylinder.tube_m / sound_m_s), conditions)
-            for axis, conditions in zip(parameters.ordered, self._conditions.axis, strict=True)
+            for axis, conditions in zip(parameters.ordered, self.conditions.axis, strict=True)
         ]
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
         self._entries = 0
@@ -135,7 +135,7 @@ class Arm:
 
     def view(self) -> ArmView:
         """The arm as it is now."""
-        state = self._state
+        state = self.state
         axes = tuple(
             AxisView(
                 axis.position_m * travel,
@@ -145,7 +145,7 @@ class Arm:
             )
             for axis, travel in zip(self._axes, self._travel, strict=True)
         )
-        return ArmView(self.time_ns, axes, state.supply_pa, self._conditions.payload_kg, state.supplied_kg)
+        return ArmView(self.time_ns, axes, state.supply_pa, self.conditions.payload_kg, state.supplied_kg)
 
     def apply(self, change: AnyChange) -> None:
         """Have ``change`` happen now, whatever its ``at_s``."""
@@ -153,15 +153,15 @@ class Arm:
             case Payload(mass_kg=mass_kg):
                 self._carry(mass_kg)
             case SupplyPressure(gauge_kpa=gauge_kpa):
-                self._conditions.regulator_pa = absolute_pa(gauge_kpa, self.parameters.supply)
+                self.conditions.regulator_pa = absolute_pa(gauge_kpa, self.parameters.supply)
             case Temperature(celsius=celsius):
-                self._conditions.air_k = kelvin(celsius)
+                self.conditions.air_k = kelvin(celsius)
             case FrictionChange(axis=name, factor=factor):
-                self._conditions.axis[AXES.index(name)].friction_factor = factor
+                self.conditions.axis[AXES.index(name)].friction_factor = factor
             case Leak(axis=name, chamber=chamber, conductance_m3_s_pa=conductance):
-                self._conditions.axis[AXES.index(name)].leak_m3_s_pa[chamber - 1] = conductance
+                self.conditions.axis[AXES.index(name)].leak_m3_s_pa[chamber - 1] = conductance
             case StuckSpool(axis=name, stuck=stuck):
-                self._conditions.axis[AXES.index(name)].spool_free = 0.0 if stuck else 1.0
+                self.conditions.axis[AXES.index(name)].spool_free = 0.0 if stuck else 1.0
             case BrokenWire(axis=name, broken=broken):
                 self._potentiometers[AXES.index(name)][0].broken = broken
         self._reading = None
@@ -173,13 +173,13 @@ class Arm:
     def _carry(self, payload_kg: float) -> None:
         """A payload picked up was at rest and takes momentum; one dropped takes its own along."""
         before = self._inertias()
-        self._conditions.payload_kg = payload_kg
-        for axis, old, new in zip(self._state.axis, before, self._inertias(), strict=True):
+        self.conditions.payload_kg = payload_kg
+        for axis, old, new in zip(self.state.axis, before, self._inertias(), strict=True):
             axis.velocity_m_s *= min(old / new, 1.0)
 
     def _inertias(self) -> tuple[float, float, float]:
-        body, payload_kg = self.parameters.body, self._conditions.payload_kg
-        reach_m = body.reach_m + self._state.axis[1].position_m
+        body, payload_kg = self.parameters.body, self.conditions.payload_kg
+        reach_m = body.reach_m + self.state.axis[1].position_m
         return (
             body.vertical_kg + body.horizontal_kg + payload_kg,
             body.horizontal_kg + payload_kg,
@@ -199,8 +199,8 @@ class Arm:
         when = f"the simulated arm diverged before {self.time_ns * 1e-9:.3f} s of its time"
         remedy = f"step_s {self.parameters.step_s} s of the arm file may be too long for its stiffest part"
         if fault > len(AXES):
-            return f"{when}: supply pressure {self._state.supply_pa:.4g} Pa; {remedy}"
-        axis = self._state.axis[fault - 1]
+            return f"{when}: supply pressure {self.state.supply_pa:.4g} Pa; {remedy}"
+        axis = self.state.axis[fault - 1]
         return (
             f"{when}: {AXES[fault - 1]} at {axis.position_m:.4g} m of its cylinder, "
             f"{axis.velocity_m_s:.4g} m/s, chambers at {axis.pressure_pa[0]:.4g} and "

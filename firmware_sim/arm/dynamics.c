@@ -10,11 +10,12 @@
  * Sources. Rigid body: Lagrange's equations, written out in parameters.py. Orifices: ISO 6358-1, made linear
  * where the pressures nearly meet. Chambers: the first law for an open volume with heat through its wall, as in
  * Richer and Hurmuzlu, J. Dyn. Sys. Meas. Control 122 (2000). Friction: LuGre, Canudas de Wit, Olsson, Astrom
- * and Lischinsky, IEEE Trans. Autom. Control 40 (1995), with a rational Stribeck curve.
+ * and Lischinsky, IEEE Trans. Autom. Control 40 (1995), with a rational Stribeck curve. End stops: Hunt and Crossley,
+ * J. Appl. Mech. 42 (1975), whose force starts from nothing at contact.
  *
- * Time step: a leapfrog. Velocities stand half a step after positions and pressures; spool and air take the
- * trapezoidal rule (the air linearised at the start of the step), the velocity the midpoint rule with friction
- * implicit in it.
+ * Time step: a leapfrog. Air stands half a step behind spool, positions and velocities, so that each is stepped
+ * with the other halfway: air by the trapezoidal rule linearised at its start, the body by drift, kick and drift,
+ * the kick by the midpoint rule with friction implicit in it.
  *
  * Only + - * / and sqrt are used, which IEEE 754 rounds in one way, so a run gives the same bytes on every
  * machine. Never compile this with -ffast-math, nor without -ffp-contract=off.
@@ -29,7 +30,7 @@ struct axis_parameters {
     double area_m2, half_stroke_m, dead_volume_m3, heat_w_k;
     double conductance_m3_s_pa, critical_ratio, overlap, clearance, spool_rad_s, spool_damping;
     double coulomb_n, static_n, stribeck_m_s, bristle_n_m, bristle_n_s_m, viscous_n_s_m, per_moment_1_n_m;
-    double spring_n_m, spring_centre_n, stop_n_m, stop_n_s_m;
+    double spring_n_m, spring_centre_n, stop_n_m, stop_s_m;
 };
 
 struct arm_parameters {
@@ -110,20 +111,18 @@ static double opening(const struct axis_parameters *p, double spool)
     return 0.5 * p->conductance_m3_s_pa * (lift + sqrt(lift * lift + p->clearance * p->clearance));
 }
 
-/* Gives the spool halfway through the step. */
-static double step_spool(const struct axis_parameters *p, const struct axis_conditions *c, struct axis_state *s, double dt)
+/* The midpoint rule. */
+static void step_spool(const struct axis_parameters *p, const struct axis_conditions *c, struct axis_state *s, double dt)
 {
     const double half = 0.5 * dt, turn = half * p->spool_rad_s;
     const double pull = turn * p->spool_rad_s * (c->spool_command - s->spool);
     const double rate = c->spool_free * (s->spool_rate_1_s + pull) / (1.0 + turn * (turn + 2.0 * p->spool_damping));
-    const double halfway = s->spool + half * rate;
     s->spool += dt * rate;
     s->spool_rate_1_s = 2.0 * rate - c->spool_free * s->spool_rate_1_s;
-    return halfway;
 }
 
 /* One chamber's part in the implicit step of all pressures: it rises by rise + rise_per_supply times the supply's
- * rise. `growth` is the rate of its volume in m3/s. */
+ * rise. `volume` is that halfway, `growth` its rate in m3/s. */
 struct chamber {
     struct flow in, out;
     double rise, rise_per_supply;
@@ -133,7 +132,7 @@ static struct chamber solve_chamber(double pressure, double air_kg, double volum
                                     double supply_pa, double inlet, double outlet, double critical,
                                     double atmosphere_pa, double ambient_k, double ambient_density, double dt)
 {
-    const double k_per_pa = volume / (air_kg * GAS_J_KG_K), air_k = k_per_pa * pressure;
+    const double k_per_pa = (volume - 0.5 * dt * growth) / (air_kg * GAS_J_KG_K), air_k = k_per_pa * pressure;
     const double density = sonic_density(air_k);
     struct chamber chamber;
     chamber.in = orifice(inlet, critical, supply_pa, ambient_density, pressure, density);
@@ -145,15 +144,14 @@ static struct chamber solve_chamber(double pressure, double air_kg, double volum
                          HEAT_RATIO * pressure * growth;
     const double decay = out_heat * chamber.out.per_upstream - in_heat * chamber.in.per_downstream + wall * k_per_pa +
                          HEAT_RATIO * growth;
-    const double per_power = dt / (volume + 0.5 * dt * (growth + decay));
+    const double per_power = dt / (volume + 0.5 * dt * decay);
     chamber.rise = power * per_power;
     chamber.rise_per_supply = 0.5 * in_heat * chamber.in.per_upstream * per_power;
     return chamber;
 }
 
 /* All chambers and the supply at once. What leaves one volume enters the next: air is conserved to rounding. */
-static void step_air(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s,
-                     const double spool[AXES], double dt)
+static void step_air(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double dt)
 {
     double regulator = arm->regulator_kg_s_pa * (c->regulator_pa - s->supply_pa);
     double regulator_slope = -arm->regulator_kg_s_pa;
@@ -168,7 +166,7 @@ static void step_air(const struct arm_parameters *arm, const struct arm_conditio
     for (int a = 0; a < AXES; a++) {
         const struct axis_parameters *p = &arm->axis[a];
         const struct axis_state *x = &s->axis[a];
-        const double edges[CHAMBERS] = {opening(p, spool[a]), opening(p, -spool[a])};
+        const double edges[CHAMBERS] = {opening(p, x->spool), opening(p, -x->spool)};
         for (int i = 0; i < CHAMBERS; i++) {
             const double side = i == 0 ? p->area_m2 : -p->area_m2;
             const double volume = p->dead_volume_m3 + p->area_m2 * p->half_stroke_m + side * x->position_m;
@@ -202,7 +200,7 @@ static void step_air(const struct arm_parameters *arm, const struct arm_conditio
  *
  * The bristle, z' = v - wear z, takes the second-order L-stable Pade form of its exponential. The second pass has
  * wear at the step's mean velocity: else dry friction would lag behind every acceleration. */
-static void step_velocity(const struct axis_parameters *p, struct axis_state *s, double mass, double force,
+static void kick_axis(const struct axis_parameters *p, struct axis_state *s, double mass, double force,
                           double friction_factor, double load, double dt)
 {
     const double inertia = 2.0 * mass / dt;
@@ -220,9 +218,9 @@ static void step_velocity(const struct axis_parameters *p, struct axis_state *s,
         const double push = inertia * s->velocity_m_s + force - 0.5 * hold * (1.0 + kept) * s->bristle_m;
         mean = push / resistance;
         if (depth > 0.0) {
-            const double give = p->stop_n_s_m + dt * p->stop_n_m;
-            const double stopped = (push - side * p->stop_n_m * depth) / (resistance + give);
-            if (p->stop_n_m * depth + give * side * stopped > 0.0) /* a stop pushes, it never pulls */
+            const double elastic = p->stop_n_m * depth;
+            const double stopped = (push - side * elastic) / (resistance + elastic * p->stop_s_m);
+            if (1.0 + p->stop_s_m * side * stopped > 0.0) /* a stop pushes, it never pulls */
                 mean = stopped;
         }
         bristle = kept * s->bristle_m + fed * mean;
@@ -232,7 +230,7 @@ static void step_velocity(const struct axis_parameters *p, struct axis_state *s,
 }
 
 /* Eq. (1), each row divided into the axis' own cylinder coordinate. */
-static void step_body(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double dt)
+static void kick_body(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double dt)
 {
     const double link = arm->horizontal_kg, payload = c->payload_kg, pulley = arm->pulley_m;
     const double reach = arm->reach_m + s->axis[HORIZONTAL].position_m, tip = reach + arm->tip_m;
@@ -251,7 +249,7 @@ static void step_body(const struct arm_parameters *arm, const struct arm_conditi
         struct axis_state *x = &s->axis[a];
         const double force = (x->pressure_pa[0] - x->pressure_pa[1]) * p->area_m2 + p->spring_centre_n -
                              p->spring_n_m * x->position_m + inertial_force[a];
-        step_velocity(p, x, mass[a], force, c->axis[a].friction_factor, 1.0 + p->per_moment_1_n_m * tilt_n_m, dt);
+        kick_axis(p, x, mass[a], force, c->axis[a].friction_factor, 1.0 + p->per_moment_1_n_m * tilt_n_m, dt);
     }
 }
 
@@ -277,13 +275,14 @@ int arm_advance(const struct arm_parameters *arm, const struct arm_conditions *c
     const double dt = duration_s / steps;
     int fault = impossible(arm, s);
     for (int n = 0; n < steps && fault == 0; n++) {
-        double spool[AXES];
+        step_air(arm, c, s, dt);
+        for (int a = 0; a < AXES; a++) {
+            step_spool(&arm->axis[a], &c->axis[a], &s->axis[a], dt);
+            s->axis[a].position_m += 0.5 * dt * s->axis[a].velocity_m_s;
+        }
+        kick_body(arm, c, s, dt);
         for (int a = 0; a < AXES; a++)
-            spool[a] = step_spool(&arm->axis[a], &c->axis[a], &s->axis[a], dt);
-        step_air(arm, c, s, spool, dt);
-        for (int a = 0; a < AXES; a++)
-            s->axis[a].position_m += dt * s->axis[a].velocity_m_s;
-        step_body(arm, c, s, dt);
+            s->axis[a].position_m += 0.5 * dt * s->axis[a].velocity_m_s;
         fault = impossible(arm, s);
     }
     return fault;

@@ -45,7 +45,7 @@ class AxisParameters(ctypes.Structure):
         ("spring_n_m", _D),
         ("spring_centre_n", _D),
         ("stop_n_m", _D),
-        ("stop_n_s_m", _D),
+        ("stop_s_m", _D),
     )
 
 
@@ -175,5 +175,5 @@ def _pack_axis(axis: ArmAxis) -> AxisParameters:
         spring_n_m=axis.spring.rate_n_m,
         spring_centre_n=axis.spring.centre_n,
         stop_n_m=axis.stop.stiffness_n_m,
-        stop_n_s_m=axis.stop.damping_n_s_m,
+        stop_s_m=axis.stop.damping_s_m,
     )

@@ -129,10 +129,10 @@ class Spring(Document, frozen=True):
 
 
 class Stop(Document, frozen=True):
-    """End stops: they push, and never pull."""
+    """End stops: force = stiffness x depth x (1 + damping x velocity), and never a pull."""
 
     stiffness_n_m: Annotated[float, _between(1e3, 1e8)]
-    damping_n_s_m: Annotated[float, _between(0.0, 1e6)]
+    damping_s_m: Annotated[float, _between(0.0, 100.0)]
 
 
 class Potentiometer(Document, frozen=True):
@@ -184,6 +184,16 @@ class ArmParameters(Document, frozen=True):
         """Travel in the axis' unit for a metre of the cylinder: 1 m, 1 m, 1/pulley rad."""
         return 1.0, 1.0, 1.0 / self.body.pulley_m
 
+    @property
+    def least_masses_kg(self) -> tuple[float, float, float]:
+        """What each cylinder moves at least: without payload, the rotation's without the horizontal link."""
+        body = self.body
+        return (
+            body.vertical_kg + body.horizontal_kg,
+            body.horizontal_kg,
+            body.base_kg_m2 / body.pulley_m**2,
+        )
+
 
 def read_arm(text: str, source: str) -> ArmParameters:
     """Read and check the TOML text of an arm file; ``source`` is its name for errors.
@@ -191,12 +201,13 @@ def read_arm(text: str, source: str) -> ArmParameters:
     Raises DocumentError naming key, value and limit of whatever physics does not allow.
     """
     arm = from_toml(text, ArmParameters, source)
-    for name, axis, travel in zip(AXES, arm.ordered, arm.travel, strict=True):
+    for name, axis, travel, mass_kg in zip(AXES, arm.ordered, arm.travel, arm.least_masses_kg, strict=True):
         where = f"{source}: axes.{name}"
         _check_friction(axis.friction, f"{where}.friction")
+        _check_load(axis.friction, arm, f"{where}.friction")
         _check_sensor(axis, travel, f"{where}.potentiometer")
         _check_stop(axis, arm.supply, f"{where}.stop")
-        _check_load(axis.friction, arm, f"{where}.friction")
+        _check_step(axis, mass_kg, arm.step_s, f"{where}.stop")
     return arm
 
 
@@ -246,6 +257,15 @@ def _check_stop(axis: ArmAxis, supply: Supply, where: str) -> None:
         raise DocumentError(
             f"{where}.stiffness_n_m: {axis.stop.stiffness_n_m} N/m is under {least:.4g} N/m: at "
             f"supply.gauge_kpa {supply.gauge_kpa} kPa the piston would use up cylinder.dead_volume_m3"
+        )
+
+
+def _check_step(axis: ArmAxis, mass_kg: float, step_s: float, where: str) -> None:
+    most = mass_kg / step_s**2 - axis.spring.rate_n_m
+    if axis.stop.stiffness_n_m > most:
+        raise DocumentError(
+            f"{where}.stiffness_n_m: {axis.stop.stiffness_n_m} N/m exceeds {most:.4g} N/m, the stiffest that "
+            f"step_s {step_s} s can follow with {mass_kg:.4g} kg"
         )
 
 

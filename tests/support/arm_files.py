@@ -1,0 +1,52 @@
+"""Arms that differ from the shipped one in a few numbers."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Any
+
+import msgspec
+
+from firmware_sim.arm.parameters import AXES, ArmParameters, shipped_arm
+
+SHIPPED_TEXT = (resources.files("firmware_sim.arm") / "arm.toml").read_text(encoding="utf-8")
+
+
+def arm_with(changes: dict[str, float]) -> ArmParameters:
+    """The shipped arm with values replaced by their dotted key; ``*`` stands for each axis. Not checked."""
+    plain = msgspec.to_builtins(shipped_arm())
+    for dotted, value in changes.items():
+        for name in AXES if "*" in dotted else ("",):
+            *path, key = dotted.replace("*", name).split(".")
+            table: dict[str, Any] = plain
+            for step in path:
+                table = table[step]
+            assert key in table, dotted
+            table[key] = value
+    return msgspec.convert(plain, ArmParameters)
+
+
+def text_with(dotted: str, value: str) -> str:
+    """The shipped file's text with one value replaced by its dotted key."""
+    *path, key = dotted.split(".")
+    lines, here = [], ""
+    replaced = 0
+    for line in SHIPPED_TEXT.splitlines():
+        if line.startswith("["):
+            here = line[1 : line.index("]")]
+        if here == ".".join(path) and line.split("=")[0].strip() == key:
+            line, replaced = f"{key} = {value}", replaced + 1
+        lines.append(line)
+    assert replaced == 1, dotted
+    return "\n".join(lines)
+
+
+FRICTIONLESS = {
+    "axes.*.friction.coulomb_n": 1e-6,
+    "axes.*.friction.static_n": 1e-6,
+    "axes.*.friction.bristle_n_m": 0.0,
+    "axes.*.friction.bristle_n_s_m": 0.0,
+    "axes.*.friction.viscous_n_s_m": 0.0,
+}
+AIRLESS = {"axes.*.cylinder.bore_m": 1e-4, "supply.gauge_kpa": 0.0}
+SEALED = {"axes.*.valve.overlap": 0.2, "axes.*.valve.clearance": 0.0}

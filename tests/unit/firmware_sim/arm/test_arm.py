@@ -1,0 +1,175 @@
+"""The arm as a plant: what its pins read, how it starts, and how it fails."""
+
+import ctypes
+import math
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.arm_files import arm_with
+
+from firmware_sim.arm import native
+from firmware_sim.arm.arm import Arm
+from firmware_sim.arm.parameters import shipped_arm
+from firmware_sim.plant import Plant
+from hil.errors import EnvironmentLackError, SimulationError
+
+CENTRED = (5.0, 5.0, 5.0)
+PERIOD_NS = 11_200_000
+
+
+def test_it_is_a_plant_that_starts_at_rest() -> None:
+    arm: Plant = Arm(shipped_arm(), seed=1)
+    assert isinstance(arm, Arm)
+    before = arm.view()
+    assert before.time_ns == 0
+    arm.advance(1_000_000_000, CENTRED)
+    for one, other in zip(before.axes, arm.view().axes, strict=True):
+        assert one.position == pytest.approx(other.position, abs=1e-3)
+        assert abs(other.velocity) < 1e-3
+
+
+def test_positive_voltages_move_every_axis_up_its_potentiometer() -> None:
+    arm = Arm(shipped_arm(), seed=1)
+    before = list(arm.potentiometer_v())
+    arm.advance(300_000_000, (5.5, 5.5, 5.5))
+    after = arm.potentiometer_v()
+    assert all(late > early + 0.3 for early, late in zip(before, after, strict=True))
+
+
+def test_full_voltage_drives_every_axis_into_its_stops_and_no_further() -> None:
+    for volts, side in ((10.0, 1.0), (0.0, -1.0)):
+        arm = Arm(shipped_arm(), seed=1)
+        arm.advance(3_000_000_000, (volts,) * 3)
+        for axis, part, travel in zip(
+            arm.view().axes, arm.parameters.ordered, arm.parameters.travel, strict=True
+        ):
+            end = 0.5 * part.cylinder.stroke_m * travel
+            assert end < side * axis.position < end + 2e-3 * travel
+            assert abs(axis.velocity) < 1e-3
+        assert all(0.1 < reading < 9.9 for reading in arm.potentiometer_v())
+
+
+def test_readings_have_the_files_noise_and_line() -> None:
+    noise_v = 0.004
+    noisy = Arm(
+        arm_with({"axes.*.potentiometer.noise_v": noise_v, "axes.*.potentiometer.nonlinearity": 0.0}), seed=1
+    )
+    readings = []
+    for _ in range(2000):
+        noisy.advance(1_000, CENTRED)
+        readings.append(noisy.potentiometer_v()[1])
+    assert statistics.stdev(readings) == pytest.approx(noise_v, rel=0.06)
+    y = noisy.view().axes[1].position
+    assert statistics.mean(readings) == pytest.approx(
+        10.0 * (y + 0.165) / 0.33, abs=3.5 * noise_v / math.sqrt(2000)
+    )
+
+
+def test_a_reading_is_taken_once_an_instant() -> None:
+    arm = Arm(shipped_arm(), seed=1)
+    first = list(arm.potentiometer_v())
+    assert list(arm.potentiometer_v()) == first
+    arm.advance(1, CENTRED)
+    assert list(arm.potentiometer_v()) != first
+
+
+def test_nonlinearity_bends_the_line_by_its_share_of_the_span() -> None:
+    straight = arm_with({"axes.*.potentiometer.noise_v": 0.0, "axes.*.potentiometer.nonlinearity": 0.0})
+    bent = arm_with({"axes.*.potentiometer.noise_v": 0.0, "axes.*.potentiometer.nonlinearity": 0.001})
+    worst = 0.0
+    for position_m in (-0.15, -0.1, -0.095263, -0.05, 0.0, 0.05, 0.095263, 0.15):
+        readings = []
+        for parameters in (straight, bent):
+            arm = Arm(parameters, seed=1)
+            arm.state.axis[0].position_m = position_m
+            readings.append(arm.potentiometer_v()[0])
+        assert readings[0] == pytest.approx(10.0 * (position_m + 0.165) / 0.33)
+        departure = readings[1] - readings[0]
+        assert departure * position_m <= 0.0
+        worst = max(worst, abs(departure))
+    assert worst == pytest.approx(0.001 * 10.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("volts", [math.nan, math.inf, -math.inf])
+def test_what_is_no_voltage_is_refused(volts: float) -> None:
+    with pytest.raises(SimulationError, match="no voltage"):
+        Arm(shipped_arm(), seed=1).advance(PERIOD_NS, (5.0, volts, 5.0))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        ("velocity_m_s", r"horizontal at .* m of its cylinder, .*e\+\d\d m/s"),
+        ("position_m", "horizontal at 1e.06 m"),
+        ("spool", "horizontal"),
+    ],
+)
+def test_a_state_that_cannot_be_is_an_error_and_stays_one(spoil: str, complaint: str) -> None:
+    arm = Arm(shipped_arm(), seed=1)
+    setattr(arm.state.axis[1], spoil, 1e6)
+    for _ in range(2):
+        with pytest.raises(
+            SimulationError, match=rf"diverged before \d.*s of its time: .*{complaint}.*step_s"
+        ):
+            arm.advance(PERIOD_NS, CENTRED)
+
+
+@pytest.mark.parametrize("field", ["position_m", "velocity_m_s", "bristle_m", "spool", "spool_rate_1_s"])
+def test_nan_never_reaches_a_pin(field: str) -> None:
+    arm = Arm(shipped_arm(), seed=1)
+    setattr(arm.state.axis[2], field, math.nan)
+    with pytest.raises(SimulationError, match="rotation"):
+        arm.advance(PERIOD_NS, CENTRED)
+
+
+def test_supply_that_cannot_be_is_an_error() -> None:
+    arm = Arm(shipped_arm(), seed=1)
+    arm.state.supply_pa = -1.0
+    with pytest.raises(SimulationError, match=r"supply pressure -1 Pa"):
+        arm.advance(PERIOD_NS, CENTRED)
+
+
+def test_every_field_of_the_compiled_parameters_is_filled() -> None:
+    changes = {"axes.*.valve.overlap": 0.01, "axes.*.spring.centre_n": 1.0}
+    packed = native.pack(arm_with(changes))
+    for axis in packed.axis:
+        assert all(getattr(axis, name) != 0.0 for name, _ in native.AxisParameters._fields_)
+    assert all(getattr(packed, name) != 0.0 for name, _ in native.Parameters._fields_[1:])
+
+
+def test_a_library_of_other_sources_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Longer(ctypes.Structure):
+        _fields_ = (*native.State._fields_, ("more", ctypes.c_double))
+
+    monkeypatch.setattr(native, "State", Longer)
+    with pytest.raises(
+        EnvironmentLackError, match=r"another version of dynamics\.c; install again: .*pip install -e"
+    ):
+        native.Dynamics()
+
+
+def test_a_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "EXTENSION_SUFFIXES", [".of-no-python"])
+    with pytest.raises(
+        EnvironmentLackError, match=r"not compiled.*apt-get install gcc libc6-dev, then pip install"
+    ):
+        native.Dynamics()
+
+
+def test_the_arm_starts_without_the_heavy_libraries() -> None:
+    program = (
+        "import sys\n"
+        "from firmware_sim.arm.arm import Arm\n"
+        "from firmware_sim.arm.parameters import shipped_arm\n"
+        "Arm(shipped_arm(), seed=1)\n"
+        "print(*{name.split('.')[0] for name in sys.modules})"
+    )
+    shown = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True, cwd=Path(__file__).parent
+    )
+    loaded = set(shown.stdout.split())
+    assert "msgspec" in loaded
+    assert not loaded & {"numpy", "scipy", "control", "matplotlib", "rich", "can", "mcap"}
