@@ -15,15 +15,7 @@ from design import polynomials as poly
 from design.errors import DesignError
 from design.plant import TransferFunction
 from design.polynomials import Array
-
-
-class StateSpace(NamedTuple):
-    """x' = A x + B u, y = C x + D u: A (n, n), B (n, m), C (p, n), D (p, m)."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
+from design.realisation import StateSpace, realise
 
 
 class LoopShaping(NamedTuple):
@@ -37,23 +29,6 @@ class LoopShaping(NamedTuple):
 def shaped(G: TransferFunction, W: TransferFunction) -> TransferFunction:
     """Gs = G W1, eq. (7) with W2 = 1."""
     return TransferFunction(poly.multiply(G.num, W.num), poly.multiply(G.den, W.den))
-
-
-def realise(H: TransferFunction) -> StateSpace:
-    """Companion form of one num/den, in time scaled so that the entries are of one size."""
-    num, den = np.asarray(H.num, dtype=float).ravel(), np.asarray(H.den, dtype=float).ravel()
-    n = len(den) - 1
-    num, den = poly.add(num, np.zeros(n + 1)) / den[0], den / den[0]
-    moduli = np.abs(np.roots(den))
-    scale = float(np.exp(np.log(moduli[moduli > 0.0]).mean())) if (moduli > 0.0).any() else 1.0
-    powers = scale ** np.arange(n + 1.0)
-    a, b = den / powers, num / powers
-    A = np.eye(n, k=-1)
-    if n:
-        A[0] = -a[1:]
-    gain = max(float(np.sqrt(np.abs(b[1:] - a[1:] * b[0]).max(initial=0.0))), 1e-150)
-    C = (b[1:] - a[1:] * b[0]).reshape(1, n) / gain
-    return StateSpace(A * scale, np.eye(n, 1) * (gain * scale), C, b[:1].reshape(1, 1))
 
 
 def riccati_solutions(Gs: StateSpace) -> tuple[Array, Array]:
@@ -104,14 +79,6 @@ def synthesise(Gs: TransferFunction, factor: float = 1.1) -> LoopShaping:
     gain = gamma**2 * np.linalg.solve(L.T, Z @ C.T)
     controller = StateSpace(A + B @ F + gain @ (C + D @ F), np.asarray(gain), -B.T @ X, D.T)
     return LoopShaping(controller, gamma, optimum)
-
-
-def transfer_function(H: StateSpace) -> TransferFunction:
-    """num/den of a system with one input and one output."""
-    A, B, C, D = H
-    den = np.real(np.poly(A)) if len(A) else np.ones(1)
-    zeros_shifted = np.real(np.poly(A - B @ C)) if len(A) else np.ones(1)
-    return TransferFunction(zeros_shifted + (D[0, 0] - 1.0) * den, den)
 
 
 def _gamma_opt(Z: Array, X: Array) -> float:

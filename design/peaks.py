@@ -60,7 +60,7 @@ def peak(above: Sequence[Power], below: Sequence[Power]) -> tuple[Array, Array]:
     """
     N = poly.multiply(*(factor.coefficients for factor in above))
     D = poly.multiply(*(factor.coefficients for factor in below))
-    pair = np.zeros((2, max(len(N), len(D)), max(N.shape[-1], D.shape[-1])))
+    pair = np.zeros((2, max(len(N), len(D)), max(N.shape[-1], D.shape[-1], 2)))
     pair[0, :, pair.shape[-1] - N.shape[-1] :] = N
     pair[1, :, pair.shape[-1] - D.shape[-1] :] = D
     with np.errstate(all="ignore"):

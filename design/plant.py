@@ -139,16 +139,40 @@ def zero_order_hold(G: TransferFunction, period_s: float) -> TransferFunction:
         ) from None
     A_w = 2.0 / step * A @ phi @ inverse
     B_w, C_w = phi @ B, 2.0 / step * C @ inverse
-    den_w = poly.from_roots(np.tanh(0.5 * step * poles / scale) * (2.0 / step + 0j))
-    # Numerator of C (sI - A)^-1 B from its values on a circle around all poles.
-    radius = 1.5 * max(float(np.abs(np.linalg.eigvals(A_w)).max()), 1.0)
-    s = radius * np.exp(2j * np.pi * np.arange(n) / n)
-    resolvents = np.linalg.solve(s[:, None, None] * np.eye(n) - A_w, np.broadcast_to(B_w, (n, n, 1)))
-    values = (C_w @ resolvents)[:, 0, 0] * np.polyval(den_w, s)
-    num_w = (np.fft.fft(values) / n).real[::-1] / radius ** np.arange(n - 1, -1, -1)
+    den_w = poly.from_roots(np.tanh(0.5 * step * poles / scale) * (2.0 / step + 0j)).real
+    num_w = numerator(A_w, B_w, C_w, den_w)
     num_w = poly.add(poly.multiply(num_w, np.array([-0.5 * step, 1.0])), direct * den_w)
     back = scale ** np.arange(n + 1.0)
     return TransferFunction(num_w * back, den_w * back)
+
+
+def numerator(A: Array, B: Array, C: Array, den: Array) -> Array:
+    """Numerator (n,) of C (sI - A)^-1 B over ``den``, det(sI - A).
+
+    Fitted to its values at points spread over all magnitudes of the poles, each relative to its own size:
+    so slow and fast zeros keep their digits alike.
+    """
+    n = len(A)
+    moduli = np.abs(np.linalg.eigvals(A))
+    moduli = moduli[moduli > 1e-12 * moduli.max(initial=0.0)]
+    if not len(moduli):
+        moduli = np.ones(1)
+    k = np.arange(8 * n)
+    golden = 0.5 * np.sqrt(5.0) - 0.5
+    radii = np.geomspace(0.2 * moduli.min(), 5.0 * moduli.max(), len(k))
+    s = radii * np.exp(1j * np.pi * ((0.5 + k * golden) % 1.0))
+    resolvents = np.linalg.solve(s[:, None, None] * np.eye(n) - A, np.broadcast_to(B, (len(s), n, 1)))
+    values = (C @ resolvents)[:, 0, 0] * np.polyval(den, s)
+    size = np.abs(values)
+    if not size.all():
+        return np.zeros(max(n, 1))
+    rows = s[:, None] ** np.arange(n - 1, -1, -1) / size[:, None]
+    columns = np.abs(rows).max(axis=0, initial=0.0)
+    rows, right = rows / columns, values / size
+    fitted = np.linalg.lstsq(
+        np.concatenate([rows.real, rows.imag]), np.concatenate([right.real, right.imag]), rcond=None
+    )[0]
+    return np.asarray(fitted / columns)
 
 
 def delayed(G: TransferFunction, sampling: Sampling) -> TransferFunction:

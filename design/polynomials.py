@@ -118,13 +118,13 @@ def roots(p: Array) -> ComplexArray:
     return found.reshape(*shape, n)
 
 
-def from_roots(zeros: ComplexArray) -> Array:
-    """Monic real polynomials (..., n + 1) with roots (..., n), which come in conjugate pairs."""
-    product = np.ones((*zeros.shape[:-1], 1), dtype=np.complex128)
+def from_roots(zeros: ComplexArray) -> ComplexArray:
+    """Monic polynomials (..., n + 1) with roots (..., n); real but for rounding where those pair up."""
+    product = np.zeros((*zeros.shape[:-1], zeros.shape[-1] + 1), dtype=np.complex128)
+    product[..., 0] = 1.0
     for i in range(zeros.shape[-1]):
-        product = np.concatenate([product, np.zeros((*zeros.shape[:-1], 1))], axis=-1)
-        product[..., 1:] -= zeros[..., i : i + 1] * product[..., :-1].copy()
-    return product.real
+        product[..., 1 : i + 2] -= zeros[..., i : i + 1] * product[..., : i + 1]
+    return product
 
 
 def hurwitz(p: Array) -> Flags:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from design import polynomials as poly
 from design.plant import Sampling, TransferFunction
 from design.polynomials import Array
+from design.realisation import StateSpace, observer_form, sampled
 from design.structures import Controller
 
 
@@ -29,43 +29,38 @@ def step_responses(
     G: TransferFunction, K: Controller, sampling: Sampling | None, step_s: float, samples: int
 ) -> StepResponses:
     """Responses of u = (num_r r - num y)/den on G, ``step_s`` apart: a sampled loop's period."""
-    A, B, C, D = _closed_loop(G, K)
+    loop = _closed_loop(G, K)
+    A, B, C, D = loop if sampling is None else sampled(loop, sampling.period_s)
     n = A.shape[-1]
     M = np.zeros((len(A), n + 1, n + 1))
+    M[:, :n, :n], M[:, :n, n:] = A, B
     if sampling is None:
-        M[:, :n, :n], M[:, :n, n:] = A, B
         M = _exponential(M * step_s)
     else:
-        half = 0.5 * sampling.period_s
-        inverse = np.linalg.inv(np.eye(n) - half * A)
-        M[:, :n, :n] = (np.eye(n) + half * A) @ inverse
-        M[:, :n, n:] = sampling.period_s * inverse @ B
         M[:, n, n] = 1.0
-        D = D + half * C @ inverse @ B
-        C = C @ inverse
     rows = np.concatenate([C, D], axis=-1)
     outputs = _powers(rows, M, samples)
     return StepResponses(step_s * np.arange(float(samples)), outputs[:, 0], outputs[:, 1])
 
 
-def _closed_loop(G: TransferFunction, K: Controller) -> tuple[Array, Array, Array, Array]:
-    """From r to [y, u]: A (B, n, n), B (B, n, 1), C (B, 2, n), D (B, 2, 1)."""
+def _closed_loop(G: TransferFunction, K: Controller) -> StateSpace:
+    """From r to [y, u], batched."""
     num, den, num_r = (np.atleast_2d(p) for p in K)
-    Ag, Bg, Dg = _observer_form(np.atleast_2d(G.den), np.atleast_2d(G.num))
-    Ak, Bk, Dk = _observer_form(den, num_r, -num)
+    Ag, Bg, _, Dg = observer_form(np.atleast_2d(G.den), np.atleast_2d(G.num))
+    Ak, Bk, _, Dk = observer_form(den, num_r, -num)
     size = max(len(Ag), len(Ak), len(Dk))
     ng, nk = Ag.shape[-1], Ak.shape[-1]
     n = ng + nk
     # With y = x_g[0] + Dg u and u = x_k[0] + Dk [r, y]: solve the direct path first.
-    direct = 1.0 / (1.0 - Dk[:, 1] * Dg[:, 0])
+    direct = 1.0 / (1.0 - Dk[:, 0, 1] * Dg[:, 0, 0])
     U = np.zeros((size, 1, n + 1))
     if nk:
         U[:, 0, ng] = 1.0
     if ng:
-        U[:, 0, 0] = Dk[:, 1]
-    U[:, 0, n] = Dk[:, 0]
+        U[:, 0, 0] = Dk[:, 0, 1]
+    U[:, 0, n] = Dk[:, 0, 0]
     U *= direct[:, None, None]
-    Y = Dg[:, None, :] * U
+    Y = Dg * U
     if ng:
         Y[:, 0, 0] += 1.0
     rows = np.zeros((size, n, n + 1))
@@ -75,27 +70,7 @@ def _closed_loop(G: TransferFunction, K: Controller) -> tuple[Array, Array, Arra
     rows[:, ng:] += Bk[:, :, 1:] @ Y
     rows[:, ng:, n] += Bk[:, :, 0]
     outputs = np.concatenate([Y, U], axis=1)
-    return rows[:, :, :n], rows[:, :, n:], outputs[:, :, :n], outputs[:, :, n:]
-
-
-def _observer_form(den: Array, *nums: Array) -> tuple[Array, Array, Array]:
-    """A (B, n, n), B (B, n, inputs), D (B, inputs); the output is the first state plus D times the inputs."""
-    n = den.shape[-1] - 1
-    size = max(len(den), *(len(num) for num in nums))
-    lead = den[:, :1]
-    a = den[:, 1:] / lead
-    b = np.stack(
-        [np.broadcast_to(poly.add(num, np.zeros((1, n + 1))) / lead, (size, n + 1)) for num in nums], axis=-1
-    )
-    degrees = np.arange(1.0, n + 1.0)
-    with np.errstate(divide="ignore"):
-        speed = np.exp((np.log(np.abs(a)) / degrees).max(axis=-1, initial=0.0))[:, None]
-    A = np.zeros((len(den), n, n))
-    if n:
-        A[:, :, 0] = -a / speed**degrees * speed
-        A[:, np.arange(n - 1), np.arange(1, n)] = speed
-    B = (b[:, 1:] - a[:, :, None] * b[:, :1]) / (speed ** (degrees - 1.0))[:, :, None]
-    return A, B, b[:, 0]
+    return StateSpace(rows[:, :, :n], rows[:, :, n:], outputs[:, :, :n], outputs[:, :, n:])
 
 
 def _exponential(M: Array) -> Array:

@@ -16,6 +16,7 @@ from design import polynomials as poly
 from design.errors import DesignError
 from design.plant import TransferFunction, to_z
 from design.polynomials import Array
+from design.realisation import observer_form, sampled
 from hil.controller_file import Law, Pid
 from hil.controller_file import StateSpace as StateSpaceLaw
 from hil.controller_file import TransferFunction as TransferFunctionLaw
@@ -132,20 +133,19 @@ class TustinLaw:
 
 
 def tustin_law(controller: Controller, period_s: float) -> Law:
-    """One controller (1, k), sampled by Tustin's rule: a transfer function, or a state space for r and y."""
+    """One controller (1, k) by Tustin's rule: a transfer function, or a state space where that keeps digits.
+
+    Beyond second order the coefficients in z of slow poles lie too close together; two degrees of freedom
+    need a state space in any case.
+    """
     num, den, num_r = (np.atleast_2d(p) for p in controller)
-    feedback = to_z(TransferFunction(num, den), period_s)
-    if np.array_equal(num, num_r):
+    one_degree = np.array_equal(num, num_r)
+    if one_degree and den.shape[-1] <= 3:
+        feedback = to_z(TransferFunction(num, den), period_s)
         return TransferFunctionLaw(num=feedback.num[0].tolist(), den=feedback.den[0].tolist())
-    reference = to_z(TransferFunction(num_r, den), period_s)
-    # Observer companion form, one column for r, one for y.
-    a = feedback.den[0, 1:]
-    b = np.stack([reference.num[0], -feedback.num[0]], axis=-1)
-    n = len(a)
-    A = np.hstack([-a.reshape(n, 1), np.eye(n, max(n - 1, 0))]) if n else np.zeros((0, 0))
-    B = b[1:] - a[:, None] * b[0]
-    C = np.eye(1, n) if n else np.zeros((1, 0))
-    return StateSpaceLaw(A=A.tolist(), B=B.tolist(), C=C.tolist(), D=[b[0].tolist()], inputs="r, y")
+    inputs = (num,) if one_degree else (num_r, -num)
+    A, B, C, D = (matrix[0].tolist() for matrix in sampled(observer_form(den, *inputs), period_s))
+    return StateSpaceLaw(A=A, B=B, C=C, D=D, inputs="e" if one_degree else "r, y")
 
 
 def _box(*names: str, low: float = 0.01, high: float = 100.0) -> tuple[Parameter, ...]:
