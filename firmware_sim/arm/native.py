@@ -3,7 +3,7 @@
 Why C: one file of plain C is compiled once, at install, loads in a millisecond, needs nothing at run time
 and does its arithmetic in the order it is written. numba would compile at start, or keep a cache and 100 MB
 of LLVM in the process; Cython would add a language. Why ctypes: the file needs no Python headers, and at one
-call for a stretch of 40 steps the microsecond of ctypes is not seen.
+call for a stretch of some thirty steps the microsecond of ctypes is not seen.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def test_positions_agree_with_a_tight_reference(
     arm, reference = positions_and_pressures(arm_with(DIRECT | changes), drives)
     assert np.ptp(reference[:, POSITION], axis=0).min() > 0.04
     assert np.abs(arm - reference)[:, POSITION].max() < 1e-3 * tolerance_mm
-    assert np.abs(arm - reference)[:, PRESSURE].max() < 2e3
+    assert np.abs(arm - reference)[:, PRESSURE].max() < 3e3
 
 
 def test_payload_changes_the_bodies_as_in_the_reference() -> None:
