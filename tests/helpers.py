@@ -35,6 +35,9 @@ FIXED = {
     "dac.watchdog_periods": "5",
     "dac.heartbeat_timeout_periods": "27",
     "dac.apply": '"at sync"',
+    "axes.vertical.valve.max_rate_v_s": "400.0",
+    "axes.horizontal.valve.max_rate_v_s": "400.0",
+    "axes.rotation.valve.max_rate_v_s": "400.0",
 }
 """What tests count on, whatever the shipped file says."""
 
