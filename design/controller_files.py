@@ -5,6 +5,7 @@ Each is read back by the daemon's own reader before it is handed out.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import msgspec
@@ -69,7 +70,10 @@ def _origin(design: Design, candidate: Candidate, measures: Measures) -> dict[st
     }
     if candidate is design.designed:
         origin["design_file"] = msgspec.to_builtins(design.design_file)
-        origin["specifications"] = [msgspec.to_builtins(reading) for reading in design.designed_readings]
+        origin["specifications"] = [
+            msgspec.to_builtins(reading) | {"value": _finite(reading.value)}
+            for reading in design.designed_readings
+        ]
         origin["searches"] = {
             "weight": {"searcher": weight.search.searcher, "seed": weight.search.seed},
             "controller": {
@@ -83,4 +87,4 @@ def _origin(design: Design, candidate: Candidate, measures: Measures) -> dict[st
 
 def _finite(value: float) -> float | None:
     """JSON has no infinity."""
-    return value if value < float("inf") else None
+    return value if math.isfinite(value) else None

@@ -34,9 +34,10 @@ _HORIZON_S = 6.0
 
 @dataclass(frozen=True)
 class Reproduction:
-    """The paper's design as a report shows it, and the verdicts."""
+    """The paper's design as a report shows it, what the verdicts rest on, and the verdicts."""
 
     design: Design
+    evidence: Evidence
     verdicts: tuple[Verdict, ...]
 
 
@@ -132,4 +133,4 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
         candidates={candidate.name: candidate for candidate in candidates},
         measures={c.name: m for c, m in zip(candidates, measures, strict=True)},
     )
-    return Reproduction(design, judge(evidence))
+    return Reproduction(design, evidence, judge(evidence))

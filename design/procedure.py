@@ -92,7 +92,10 @@ class Design:
             )
         for selecting, designed in zip(self.weight.readings, self.designed_readings, strict=True):
             if selecting.reading == designed.reading and not designed.met:
-                found.append(f"the designed loop misses a specification: {designed}")
+                found.append(
+                    f"the designed loop misses a specification: {designed}; to have the search hold it, set "
+                    "controller.must_meet_specifications = true in the design file"
+                )
         found += [
             f"plant {g.plant.name} is unstable under this controller"
             for g in self.guarantees
@@ -256,7 +259,7 @@ def _guarantee(problem: Problem, designed: Candidate, other: Plant) -> Guarantee
 def _if_reversed(plant: Plant) -> str:
     """A hint where the plant moves against its input."""
     G = plant.transfer_function()
-    if np.trim_zeros(G.num, "b")[-1] * np.trim_zeros(G.den, "b")[-1] > 0.0:
+    if np.trim_zeros(G.num, "b")[-1] * G.den[0] > 0.0:
         return ""
     return (
         ". The plant's gain is negative: reverse the valve or the potentiometer in the rig file and in the "
