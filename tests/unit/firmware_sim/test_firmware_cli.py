@@ -50,7 +50,7 @@ def port() -> int:
 
 def started(bus: str) -> tuple[subprocess.Popen[str], str]:
     """The process once it is ready, and the bus that it says to join."""
-    process = subprocess.Popen([*COMMAND, "--bus", bus], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen([*COMMAND, "--linear", "--bus", bus], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     for line in process.stdout:
         if joined := re.fullmatch(r"join with: hil run --bus (\S+)\n", line):
@@ -80,8 +80,10 @@ def test_boards_answer_on_the_bus_and_a_signal_ends_them(
 ) -> None:
     process, spec = started(f"udp:{port}" if kind == "udp" else "pty")
     with process, open_link(spec) as link:
-        exchange_a_sample(link)
-        process.send_signal(ending)
+        try:
+            exchange_a_sample(link)
+        finally:
+            process.send_signal(ending)
         assert process.wait(LIMIT_S) == 0
 
 
@@ -164,7 +166,7 @@ class DivergingPlant:
 def test_a_failing_plant_ends_it_with_its_message_and_both_boards_fall_silent(
     monkeypatch: pytest.MonkeyPatch, process_kept: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, "LinearPlant", DivergingPlant)
+    monkeypatch.setattr(cli, "build_plant", lambda rig, _options: (DivergingPlant(rig), "a plant"))
     with open_link("inproc:diverging") as link:
         assert cli.main(["--bus", "inproc:diverging"]) == 1
         heard = []
