@@ -14,7 +14,7 @@ from hil.laws import ControlLaw, realise
 from hil.life_cycle import State
 from hil.run_setup import RunSetup, load_setup, setup_from_texts
 from hil.shells.lockstep import Lockstep
-from hil.shells.run_plan import Ending, RunPlan
+from hil.shells.run_plan import Ending, RunPlan, StopRequest
 from hil.shells.session import Session
 
 PERIOD_S = 0.0112
@@ -45,7 +45,8 @@ def run_lockstep(setup: RunSetup, duration_s: float) -> list[Cycle]:
     lockstep = Lockstep(SimulatedRig(setup.rig, LinearPlant(setup.rig)), 0)
     plan = RunPlan(duration_s, PERIOD_S)
     gateway = setup.gateway(setup.rig.loop.period_ns)
-    lockstep.run(Session(gateway, plan, lockstep.send, lockstep.clock_ns, kept, kept))  # type: ignore[arg-type]
+    session = Session(gateway, plan, lockstep.send, lockstep.clock_ns, kept, kept)  # type: ignore[arg-type]
+    lockstep.run(session, StopRequest())
     assert plan.ending is Ending.COMPLETED
     return kept.running
 
