@@ -23,6 +23,7 @@ from design.plant import Plant, Sampling, TransferFunction
 from design.polynomials import Array
 from design.responses import StepResponses
 from design.structures import Controller
+from design.verification import controller_of_law
 from hil.controller_file import Law
 
 ComplexArray = NDArray[np.complex128]
@@ -45,6 +46,7 @@ class Measures:
 
     eps_continuous: float
     eps_sampled: float
+    """Of the law as the daemon realises it, with the rig's hold and delay."""
     stable: bool
     overshoot: float
     settling_s: float
@@ -163,9 +165,10 @@ class Problem:
         K = candidate.controller.feedback
         q = self.loops(candidate.controller)
         G, rig_G = self.plant.transfer_function(), self.plant.transfer_function(self.rig_sampling)
+        running = controller_of_law(candidate.law, self.rig_sampling.period_s).feedback
         return Measures(
             eps_continuous=float(margins.stability_margin(G, K, self.weight)[0]),
-            eps_sampled=float(margins.stability_margin(rig_G, K, self.weight)[0]),
+            eps_sampled=float(margins.stability_margin(rig_G, running, self.weight)[0]),
             stable=bool(q.stable[0]),
             overshoot=float(q.overshoot[0]),
             settling_s=float(q.settling_s[0]),
