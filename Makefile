@@ -3,8 +3,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
-PYTHON_CODE := hil firmware_sim design tests setup.py
-SOURCES_OF_INSTALL := pyproject.toml setup.py requirements.lock $(wildcard firmware_sim/arm/*.c)
+PYTHON_CODE := hil firmware_sim design tests
+SOURCES_OF_INSTALL := pyproject.toml requirements.lock $(wildcard firmware_sim/arm/*.c)
 
 .SILENT:
 .PHONY: run test bench lock clean run-packages test-packages
