@@ -61,18 +61,19 @@ def test_vertical_step_of_100_mm_is_that_of_fig_13(seed: int) -> None:
 
 def test_ladder_with_payload_low_supply_and_the_other_axes_moving_is_that_of_fig_14() -> None:
     changes = (Payload(at_s=0.5, mass_kg=3.0), SupplyPressure(at_s=0.5, gauge_kpa=400.0))
-    levels = (-0.05, 0.0, 0.05)
+    levels = (-0.04, 0.0, 0.04, 0.08)
     setpoints = (
-        stairs((0.0, 0.0), (1.0, -0.1), *((6.0 + 3.0 * k, level) for k, level in enumerate(levels))),
-        stairs(*((2.5 * k, 0.05 * (-1) ** k) for k in range(7))),
-        stairs(*((3.5 * k, 0.4 * (-1) ** k) for k in range(5))),
+        stairs((0.0, 0.0), (1.0, -0.08), *((6.0 + 3.0 * k, level) for k, level in enumerate(levels))),
+        stairs(*((2.5 * k, 0.05 * (-1) ** k) for k in range(8))),
+        stairs(*((3.5 * k, 0.4 * (-1) ** k) for k in range(6))),
     )
     bench = Bench(shipped_arm(), changes=changes)
-    track = close_loops(bench, LAWS, setpoints, 15.0)
+    track = close_loops(bench, LAWS, setpoints, 18.0)
     assert bench.arm.view().supply_pa < 500e3
-    for k in range(len(levels)):
-        step = measure_step(track, VERTICAL, 6.0 + 3.0 * k, 9.0 + 3.0 * k)
-        assert step.settling_s < 1.3
+    steps = [measure_step(track, VERTICAL, 6.0 + 3.0 * k, 9.0 + 3.0 * k) for k in range(len(levels))]
+    assert sorted(step.settling_s for step in steps)[2] < 1.2
+    for step in steps:
+        assert step.settling_s < 1.7  # the first reverses, against friction
         assert step.overshoot_percent < 2.0
         assert abs(step.error) < 1e-3
 

@@ -57,13 +57,13 @@ def test_what_is_no_number_is_refused_by_its_key(value: str) -> None:
 
 def test_static_friction_under_coulomb_friction_is_refused() -> None:
     assert refusal(f"{VERTICAL}.friction.static_n", "3.0") == (
-        "mine.toml: axes.vertical.friction.static_n: 3.0 N is under coulomb_n, 3.8 N"
+        "mine.toml: axes.vertical.friction.static_n: 3.0 N is under coulomb_n, 5.0 N"
     )
 
 
 def test_friction_that_would_give_energy_is_refused() -> None:
-    message = refusal(f"{VERTICAL}.friction.bristle_n_s_m", "300.0")
-    assert "axes.vertical.friction.bristle_n_s_m: 300.0 N s/m exceeds 266 N s/m" in message
+    message = refusal(f"{VERTICAL}.friction.bristle_n_s_m", "500.0")
+    assert "axes.vertical.friction.bristle_n_s_m: 500.0 N s/m exceeds 422.5 N s/m" in message
     assert "would give energy" in message
 
 
@@ -76,7 +76,7 @@ def test_potentiometer_must_cover_the_stroke() -> None:
 
 def test_stop_that_lets_the_piston_into_the_cover_is_refused() -> None:
     text = text_with(f"{VERTICAL}.cylinder.dead_volume_m3", "1e-7").replace("2e5", "1e5")
-    with pytest.raises(DocumentError, match=r"stop\.stiffness_n_m: 100000\.0 N/m is under 4\.441e\+05 N/m"):
+    with pytest.raises(DocumentError, match=r"stop\.stiffness_n_m: 100000\.0 N/m is under 1\.084e\+06 N/m"):
         read_arm(text, "mine.toml")
 
 
