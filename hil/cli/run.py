@@ -38,6 +38,7 @@ def main(argv: list[str]) -> int:
     duration_s = options.duration or (scenario.duration_s if scenario else DEFAULT_DURATION_S)
     plan = RunPlan(duration_s, setup.rig.loop.period_s)
     path: Path = options.record or _default_path()
+    path.parent.mkdir(parents=True, exist_ok=True)
     if options.lockstep:
         report = run_lockstep(setup, plan, path, duration_s, options)
     else:
