@@ -6,7 +6,8 @@ No socket, no clock, no thread, no file: the shells own those. One period:
 
 A command leaves only in answer to a good sample of the same period (RUNNING), or centres the valves (every
 other state). A missing or rejected sample sends nothing: the board holds, and after
-``adc.stale_after_periods`` such periods the gateway faults.
+``adc.stale_after_periods`` such periods the gateway faults. A fault centres the valves at once: at a deadline
+its command goes before SYNC, so that a board which applies at SYNC does not hold for one period more.
 """
 
 from __future__ import annotations
@@ -87,6 +88,7 @@ class Gateway:
         self.rejected_frames = 0
         self.error_frames = 0
         self._number = -1
+        self._heartbeat_number = 0
         self._deadline_ns = first_deadline_ns
         self._wake_ns = 0
         self._has_sample = True
@@ -102,6 +104,7 @@ class Gateway:
 
     def on_deadline(self, now_ns: int) -> Output:
         """Begin the period that is due: SYNC, supervision, and centring where nothing is running."""
+        frames: list[Frame] = []
         events: list[Event] = []
         deadline_ns = self.next_deadline_ns
         skipped = (now_ns - deadline_ns) // self._period_ns
@@ -110,18 +113,19 @@ class Gateway:
             events.append(Event(Severity.WARNING, "loop", text))
             deadline_ns += skipped * self._period_ns
             self.missed_periods += skipped
-        cycle = self._close_period(max(skipped, 0), events)
+        cycle = self._close_period(max(skipped, 0), frames, events)
         for board in self._boards:
             reason = board.overdue(now_ns)
             if reason is not None:
-                self._lose(board.name, reason, events)
+                self._lose(board.name, reason, frames, events)
         self._number += 1 + max(skipped, 0)
         self._deadline_ns = deadline_ns
         self._wake_ns = now_ns
         self._has_sample = False
         self.next_deadline_ns = deadline_ns + self._period_ns
-        frames = [_SYNC_FRAME]
-        if self._number % self._rig.gateway.heartbeat_periods == 0:
+        frames.append(_SYNC_FRAME)
+        if self._number >= self._heartbeat_number:
+            self._heartbeat_number = self._number + self._rig.gateway.heartbeat_periods
             frames.append(
                 Frame(codec.HEARTBEAT_GATEWAY, codec.encode_heartbeat_gateway(NmtState.OPERATIONAL))
             )
@@ -146,8 +150,7 @@ class Gateway:
         if identifier == codec.EMCY_DAC:
             return self._receive_emergency(self._dac, data)
         if identifier in OWN_IDENTIFIERS:
-            text = f"foreign {OWN_IDENTIFIERS[identifier]} frame {frame}: another master commands this bus"
-            return self._fault("bus", text)
+            return self._receive_foreign(frame)
         return self._report_unexpected(frame)
 
     def operate(self, trigger: Trigger, now_ns: int) -> Output:
@@ -164,11 +167,9 @@ class Gateway:
         elif trigger is Trigger.RESET:
             self.fault_reason = None
             self._stale_periods = 0
+            self._last_rejection = ""
             self._guard.forget()
-        frames: tuple[Frame, ...] = ()
-        if trigger is Trigger.STOP:
-            self._valves.centre()
-            frames = (self._valves.frame(),)
+        frames = (self._centre(),) if trigger is Trigger.STOP else ()
         return Output(frames, tuple(events))
 
     def link_failed(self, reason: str) -> Output:
@@ -178,13 +179,16 @@ class Gateway:
     # One period
 
     def _receive_sample(self, data: bytes, now_ns: int) -> Output:
+        events: list[Event] = []
+        lost_before = self._guard.lost
         checked = self._guard.check(data, now_ns - self._wake_ns, not self._has_sample)
+        if self._guard.lost != lost_before:
+            self._report_lost(lost_before, events)
         if isinstance(checked, str):
-            return self._reject(checked)
+            return Output(events=(*events, *self._reject(checked).events))
         self._has_sample = True
         self._stale_periods = 0
         self._last_rejection = ""
-        events: list[Event] = []
         frames: tuple[Frame, ...] = ()
         if self.state is State.OFFLINE and self._adc.is_up and self._dac.is_up:
             self._enter(Trigger.BOARDS_UP, events)
@@ -193,7 +197,8 @@ class Gateway:
             if culprit is None:
                 frames = (self._valves.frame(),)
             else:
-                fault = self._fault(culprit, "control law gave an output that is not finite")
+                r, y, _, u, _, _ = culprit.signals
+                fault = self._fault(culprit.name, f"control law gave {u} V at setpoint {r:g}, position {y:g}")
                 frames, events = fault.frames, [*events, *fault.events]
         else:
             centres = self._valves.volts
@@ -202,7 +207,7 @@ class Gateway:
                 axis.signals = AxisSignals(y, y, 0.0, 0.0, centre_v, volts)
         return Output(frames, tuple(events), self._cycle(now_ns, True))
 
-    def _control(self, volts: list[float]) -> str | None:
+    def _control(self, volts: list[float]) -> _Axis | None:
         """Run every law on its sample and limit its output; returns the axis whose output is not finite."""
         is_first = self._run_began_ns is None
         if self._run_began_ns is None:
@@ -213,13 +218,15 @@ class Gateway:
             if is_first:
                 axis.law.initialise(r, y, 0.0)
             u = axis.law.output(r, y)
-            if not math.isfinite(u):
-                return axis.name
-            axis.law.advance(self._valves.command(index, u))
+            is_finite = math.isfinite(u)
+            if is_finite:
+                axis.law.advance(self._valves.command(index, u))
             axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured)
+            if not is_finite:
+                return axis
         return None
 
-    def _close_period(self, skipped: int, events: list[Event]) -> Cycle | None:
+    def _close_period(self, skipped: int, frames: list[Frame], events: list[Event]) -> Cycle | None:
         """Account for a period that ends without a good sample, and for deadlines that were missed."""
         if self._number < 0:
             return None
@@ -237,6 +244,7 @@ class Gateway:
                 "adc",
                 f"no good sample for {self._stale_periods} periods, limit {limit} "
                 f"(rig: adc.stale_after_periods); last: {cause}",
+                frames,
                 events,
             )
         return cycle
@@ -259,15 +267,17 @@ class Gateway:
             return self._reject(f"heartbeat of {board.name} has {len(data)} bytes, not 1")
         was_up, before = board.is_up, board.nmt_state
         start = board.heartbeat(data[0], now_ns)
+        frames: list[Frame] = []
         events: list[Event] = []
-        frames: tuple[Frame, ...] = ()
         if board.nmt_state != before:
             events.append(Event(Severity.INFO, board.name, board.describe()))
-        if was_up and not board.is_up:
+        if start is not None:
             if board is self._adc:
                 self._guard.forget()
-            frames = self._lose(board.name, f"left operational: {board.describe()}", events)
-        return Output((*frames, start) if start else frames, tuple(events))
+            if was_up:
+                self._lose(board.name, f"left operational: {board.describe()}", frames, events)
+            frames.append(start)
+        return Output(tuple(frames), tuple(events))
 
     def _receive_emergency(self, board: BoardWatch, data: bytes) -> Output:
         if len(data) != codec.EMCY_ADC_LENGTH:
@@ -291,12 +301,27 @@ class Gateway:
             return Output(events=(Event(Severity.WARNING, "bus", text),))
         return self._report_unexpected(frame)
 
+    def _receive_foreign(self, frame: Frame) -> Output:
+        """A frame that only the gateway sends: a fault; in state fault reported once an identifier."""
+        if self.state is State.FAULT and frame.id in self._reported_identifiers:
+            return _NOTHING
+        self._reported_identifiers.add(frame.id)
+        text = f"foreign {OWN_IDENTIFIERS[frame.id]} frame {frame}: another master commands this bus"
+        return self._fault("bus", text)
+
     def _report_unexpected(self, frame: Frame) -> Output:
         if frame.id in self._reported_identifiers:
             return _NOTHING
         self._reported_identifiers.add(frame.id)
         text = f"frame {frame} is not in arm.dbc; further ones of its identifier are ignored in silence"
         return Output(events=(Event(Severity.WARNING, "bus", text),))
+
+    def _report_lost(self, lost_before: int, events: list[Event]) -> None:
+        """Samples that the counter missed, reported when their number doubles."""
+        lost = self._guard.lost
+        if lost.bit_length() > lost_before.bit_length():
+            text = f"TPDO1_ADC: counter skipped {lost - lost_before}, {lost} so far"
+            events.append(Event(Severity.WARNING, "guard", text))
 
     def _reject(self, reason: str) -> Output:
         self.rejected_frames += 1
@@ -308,17 +333,17 @@ class Gateway:
 
     # Life cycle
 
-    def _lose(self, source: str, reason: str, events: list[Event]) -> tuple[Frame, ...]:
-        """A board or its samples are gone: a fault once armed, else offline. Returns frames to send."""
+    def _lose(self, source: str, reason: str, frames: list[Frame], events: list[Event]) -> None:
+        """A board or its samples are gone: a fault once armed, else offline."""
         if self.state in (State.ARMED, State.RUNNING):
             fault = self._fault(source, reason)
+            frames.extend(fault.frames)
             events.extend(fault.events)
-            return fault.frames
+            return
         if self.state is not State.FAULT:
             events.append(Event(Severity.WARNING, source, reason))
         if self.state is State.READY:
             self._enter(Trigger.BOARDS_LOST, events)
-        return ()
 
     def _fault(self, source: str, reason: str) -> Output:
         """Latch a fault and centre every valve at once."""
@@ -327,8 +352,14 @@ class Gateway:
         self.fault_reason = f"{source}: {reason}"
         events = [Event(Severity.FATAL, source, reason)]
         self._enter(Trigger.FAULT, events)
+        return Output((self._centre(),), tuple(events))
+
+    def _centre(self) -> Frame:
+        """Centre every valve at once; returns the command that does."""
         self._valves.centre()
-        return Output((self._valves.frame(),), tuple(events))
+        for axis, centre_v in zip(self._axes, self._valves.volts, strict=True):
+            axis.signals = axis.signals._replace(command_v=centre_v)
+        return self._valves.frame()
 
     def _enter(self, trigger: Trigger, events: list[Event]) -> None:
         after = next_state(self.state, trigger)

@@ -24,7 +24,7 @@ class SampleGuard:
         )
         self._counter: int | None = None
         self.lost = 0
-        """Frames that the counter says were sent and never came."""
+        """Frames that the counter says were sent and did not come, or not intact."""
 
     def forget(self) -> None:
         """Expect any counter next: the board has restarted."""
@@ -49,7 +49,7 @@ class SampleGuard:
                 self.lost += step - 1
             self._counter = counter
         if not is_first:
-            return "TPDO1_ADC: second sample in one period"
+            return "TPDO1_ADC: not the first sample since SYNC"
         if age_ns > self._period_ns:
             return (
                 f"TPDO1_ADC: {age_ns / 1e6:.2f} ms after SYNC exceeds {self._period_ns / 1e6:g} ms "

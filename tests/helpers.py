@@ -15,7 +15,7 @@ from firmware_sim.linear_plant import LinearPlant
 from firmware_sim.plant import Plant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.controller_file import Law, Pid
-from hil.events import Cycle, Event, Output
+from hil.events import Cycle, Event, Output, Severity
 from hil.frames import Frame
 from hil.gateway import Gateway
 from hil.laws import ControlLaw
@@ -130,11 +130,11 @@ class Told:
 
     def commands(self) -> list[tuple[float, float, float]]:
         """Voltages of every RPDO1_DAC frame."""
-        return [commands_v(frame) for frame in self.frames if frame.id == codec.RPDO1_DAC]
+        return commands(Output(tuple(self.frames)))
 
     def texts(self) -> list[str]:
         """Events as ``source: text``."""
-        return [f"{event.source}: {event.text}" for event in self.events]
+        return texts(Output(events=tuple(self.events)))
 
 
 class HandGateway:
@@ -266,3 +266,23 @@ class Bench:
                 for frame in self.pass_to_gateway(sent):
                     outgoing += self.told.add(self.gateway.receive(frame, self.now_ns)).frames
             incoming = list(self.boards.receive(outgoing.pop(0), self.now_ns)) if outgoing else []
+
+
+def hand(state: State = State.OFFLINE, **changes: str) -> HandGateway:
+    """A gateway of the changed rig (``__`` for the dots of a key) in ``state``."""
+    return HandGateway(make_rig({key.replace("__", "."): text for key, text in changes.items()})).to(state)
+
+
+def texts(output: Output) -> list[str]:
+    """Events as ``source: text``."""
+    return [f"{event.source}: {event.text}" for event in output.events]
+
+
+def faults(output: Output) -> list[str]:
+    """Faults as ``source: text``."""
+    return [f"{e.source}: {e.text}" for e in output.events if e.severity is Severity.FATAL]
+
+
+def commands(output: Output) -> list[tuple[float, float, float]]:
+    """Voltages of every RPDO1_DAC frame."""
+    return [commands_v(frame) for frame in output.frames if frame.id == codec.RPDO1_DAC]

@@ -1,0 +1,624 @@
+"""What goes wrong around the gateway core: rejected samples, silence, late calls, restarts, strangers.
+
+Every one has its effect, to the period, and an event that explains it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+from helpers import (
+    ADC_BOOT,
+    ADC_UP,
+    DAC_BOOT,
+    DAC_UP,
+    SYNC,
+    Bench,
+    HandGateway,
+    commands,
+    faults,
+    hand,
+    make_gateway,
+    make_rig,
+    sample_frame,
+    texts,
+)
+
+from firmware_sim.faults import AdcFaults, DacFaults
+from hil.controller_file import Pid, TransferFunction
+from hil.events import Event, Output, Severity
+from hil.frames import Frame
+from hil.life_cycle import State, Trigger
+from hil.wire import codec
+
+PERIOD_NS = 11_200_000
+CENTRED = (5.0, 5.0, 5.0)
+COUNT_V = 10.0 / 32768
+GATEWAY_HEARTBEAT = Frame(0x701, b"\x05")
+TIMEOUT_PERIODS = 27
+LIVE_STATES = [State.OFFLINE, State.READY, State.ARMED, State.RUNNING]
+
+
+def emergency(identifier: int, code: int, register: int = 0x11) -> Frame:
+    return Frame(identifier, codec.encode_emcy_adc(code, register, 0, 0))
+
+
+def error_frame(error_class: int) -> Frame:
+    return Frame(error_class, bytes(8), is_error=True)
+
+
+BAD_SAMPLES: dict[str, tuple[Callable[[int], Frame], str]] = {
+    "length": (lambda counter: Frame(0x190, bytes(6)), "TPDO1_ADC has 6 bytes, not 8 (rig: adc.protected)"),
+    "crc": (lambda counter: Frame(0x190, bytes(8)), "TPDO1_ADC: CRC 0x00, computed 0x"),
+    "repeated": (lambda counter: sample_frame(CENTRED, counter - 1), "TPDO1_ADC: counter 0 repeated"),
+    "low": (lambda counter: sample_frame((5.0, 0.05, 5.0), counter), "horizontal: potentiometer 0.050 V"),
+    "high": (lambda counter: sample_frame((5.0, 5.0, 9.95), counter), "rotation: potentiometer 9.950 V"),
+}
+
+
+class TestRejectedSamples:
+    """Every guard takes a running gateway's command away, says why, and once."""
+
+    @pytest.mark.parametrize("kind", BAD_SAMPLES)
+    def test_no_command_and_one_report(self, kind: str) -> None:
+        build, said = BAD_SAMPLES[kind]
+        gateway = hand(State.RUNNING)
+        gateway.deadline()
+        frame = build(gateway.counter)
+        for number in (1, 2, 3):
+            output = gateway.give(frame)
+            assert output.frames == ()
+            assert output.cycle is None
+            assert gateway.core.rejected_frames == number
+            if number == 1:
+                (event,) = output.events
+                assert (event.severity, event.source) == (Severity.WARNING, "guard")
+                assert event.text.startswith(f"rejected: {said}")
+            else:
+                assert output.events == ()
+        assert gateway.state is State.RUNNING
+
+    @pytest.mark.parametrize("kind", BAD_SAMPLES)
+    def test_a_good_one_after_it_is_controlled(self, kind: str) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.deadline()
+        gateway.give(BAD_SAMPLES[kind][0](gateway.counter))
+        gateway.counter += 1
+        assert len(commands(gateway.sample())) == 1
+        gateway.deadline()
+        bad = gateway.give(BAD_SAMPLES["length"][0](0))
+        assert len(bad.events) == 1  # reported anew
+
+    @pytest.mark.parametrize("kind", BAD_SAMPLES)
+    def test_nothing_but_bad_ones_is_a_fault_that_tells_the_cause(self, kind: str) -> None:
+        build, said = BAD_SAMPLES[kind]
+        gateway = hand(State.RUNNING)
+        for _ in range(3):
+            assert gateway.deadline().events == ()
+            frame = build(gateway.counter)
+            gateway.give(frame)
+            if kind != "repeated":
+                gateway.counter += 1
+        output = gateway.deadline()
+        assert gateway.state is State.FAULT
+        (text,) = faults(output)
+        assert text.startswith(
+            f"adc: no good sample for 3 periods, limit 3 (rig: adc.stale_after_periods); last: {said}"
+        )
+
+    def test_a_late_sample_is_no_sample(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.deadline()
+        output = gateway.sample(after_ns=PERIOD_NS + 1)
+        assert output.frames == ()
+        assert texts(output) == [
+            "guard: rejected: TPDO1_ADC: 11.20 ms after SYNC exceeds 11.2 ms (rig: loop.period_s)"
+        ]
+        gateway.deadline()
+        assert len(commands(gateway.sample(after_ns=PERIOD_NS))) == 1
+
+    def test_skipped_counters_are_counted_and_told_when_their_number_doubles(self) -> None:
+        gateway = hand(State.RUNNING)
+        reports = []
+        for _ in range(6):
+            gateway.counter += 1
+            gateway.deadline()
+            output = gateway.sample()
+            assert len(commands(output)) == 1
+            reports += texts(output)
+        assert gateway.core.lost_samples == 6
+        assert reports == [
+            "guard: TPDO1_ADC: counter skipped 1, 1 so far",
+            "guard: TPDO1_ADC: counter skipped 1, 2 so far",
+            "guard: TPDO1_ADC: counter skipped 1, 4 so far",
+        ]
+
+    def test_a_skip_is_told_with_a_rejection_too(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.deadline()
+        gateway.counter += 3
+        output = gateway.sample((0.0, 5.0, 5.0))
+        assert [text.split(" outside")[0] for text in texts(output)] == [
+            "guard: TPDO1_ADC: counter skipped 3, 3 so far",
+            "guard: rejected: vertical: potentiometer 0.000 V",
+        ]
+
+
+class TestStaleness:
+    @pytest.mark.parametrize("limit", [1, 2, 3, 7])
+    @pytest.mark.parametrize("state", [State.ARMED, State.RUNNING])
+    def test_the_limit_is_exact_to_the_period(self, limit: int, state: State) -> None:
+        gateway = hand(state, adc__stale_after_periods=str(limit))
+        gateway.period()
+        for _ in range(limit):
+            gateway.deadline()
+            assert gateway.state is state
+        output = gateway.deadline()
+        assert gateway.state is State.FAULT
+        assert faults(output) == [
+            f"adc: no good sample for {limit} periods, limit {limit} (rig: adc.stale_after_periods); "
+            "last: no TPDO1_ADC came"
+        ]
+        assert gateway.core.fault_reason == faults(output)[0]
+
+    def test_a_good_sample_begins_the_count_anew(self) -> None:
+        gateway = hand(State.RUNNING)
+        for _ in range(20):
+            gateway.deadline()
+            gateway.give(ADC_UP, DAC_UP)
+            gateway.deadline()
+            gateway.deadline()
+            gateway.sample()
+        assert gateway.state is State.RUNNING
+
+    def test_ready_falls_back_to_offline(self) -> None:
+        gateway = hand(State.READY)
+        gateway.deadline()
+        gateway.deadline()
+        gateway.deadline()
+        output = gateway.deadline()
+        assert gateway.state is State.OFFLINE
+        assert [event.severity for event in output.events] == [Severity.WARNING, Severity.INFO]
+        assert texts(output)[1] == "life cycle: ready -> offline (boards lost)"
+        gateway.period()
+        assert gateway.state is State.READY
+
+    def test_until_then_the_board_holds(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.period()
+        for _ in range(3):
+            output = gateway.deadline()
+            assert [frame for frame in output.frames if frame != GATEWAY_HEARTBEAT] == [SYNC]
+
+    def test_the_fault_leaves_before_sync_and_the_next_after_it(self) -> None:
+        """A board that applies commands at SYNC centres in this very period."""
+        gateway = hand(State.RUNNING)
+        for _ in range(3):
+            gateway.deadline()
+        output = gateway.deadline()
+        assert [frame.id for frame in output.frames if frame != GATEWAY_HEARTBEAT] == [0x220, 0x080, 0x220]
+        assert commands(output) == [CENTRED, CENTRED]
+
+    def test_the_valves_of_a_hung_adc_board_are_centred_in_time(self) -> None:
+        bench = Bench(make_rig(), setpoints="step:0.1@0").run()
+        bench.periods(5)
+        assert max(bench.boards.dac.valve_v) > 6.0
+        bench.boards.adc.faults = AdcFaults(hung=True)
+        for _ in range(3):
+            bench.period()
+            assert max(bench.boards.dac.valve_v) > 5.5
+        bench.period()
+        assert bench.gateway.state is State.FAULT
+        assert bench.boards.dac.valve_v == CENTRED
+
+    def test_the_cycles_of_a_fault_tell_the_centre(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.period()
+        for _ in range(6):
+            gateway.deadline()
+        states = [State(cycle.state) for cycle in gateway.told.cycles[-5:]]
+        command_v = [cycle.axes[0].command_v for cycle in gateway.told.cycles[-5:]]
+        assert states == [State.RUNNING] * 3 + [State.FAULT] * 2
+        assert command_v == pytest.approx([6.0, 6.0, 6.0, 5.0, 5.0])
+
+    def test_while_offline_nothing_is_counted(self) -> None:
+        gateway = hand()
+        for _ in range(50):
+            assert gateway.deadline().events == ()
+        assert gateway.state is State.OFFLINE
+
+
+class TestLateDeadlines:
+    def test_a_late_wake_within_the_period_is_served_and_the_next_is_not_moved(self) -> None:
+        gateway = hand(State.RUNNING)
+        due_ns = gateway.core.next_deadline_ns
+        output = gateway.deadline(late_ns=PERIOD_NS - 1)
+        assert output.events == ()
+        assert gateway.core.next_deadline_ns == due_ns + PERIOD_NS
+        assert gateway.core.missed_periods == 0
+
+    @pytest.mark.parametrize("skipped", [1, 2])
+    def test_missed_periods_are_skipped_counted_and_told(self, skipped: int) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.period()
+        due_ns = gateway.core.next_deadline_ns
+        output = gateway.deadline(late_ns=skipped * PERIOD_NS)
+        assert output.frames.count(SYNC) == 1
+        assert texts(output) == [f"loop: woke {skipped * 11.2:.1f} ms late: {skipped} periods skipped"]
+        assert gateway.core.next_deadline_ns == due_ns + (skipped + 1) * PERIOD_NS
+        assert gateway.core.missed_periods == skipped
+        cycle = gateway.sample().cycle
+        assert cycle is not None
+        assert (cycle.number, cycle.deadline_ns) == (2 + skipped, due_ns + skipped * PERIOD_NS)
+
+    def test_they_are_never_caught_up(self) -> None:
+        gateway = hand(State.READY)
+        gateway.deadline(late_ns=10 * PERIOD_NS + 5)
+        assert gateway.core.next_deadline_ns == gateway.now_ns - 5 + PERIOD_NS
+
+    def test_an_early_call_is_no_missed_period(self) -> None:
+        gateway = hand(State.RUNNING)
+        due_ns = gateway.core.next_deadline_ns
+        output = gateway.deadline(late_ns=-3_000_000)
+        assert output.events == ()
+        assert gateway.core.next_deadline_ns == due_ns + PERIOD_NS
+        assert gateway.core.missed_periods == 0
+
+    @pytest.mark.parametrize(("skipped", "is_fault"), [(2, False), (3, True)])
+    def test_a_stall_as_long_as_the_staleness_limit_is_a_fault(self, skipped: int, is_fault: bool) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.period()
+        output = gateway.deadline(late_ns=skipped * PERIOD_NS)
+        assert (gateway.state is State.FAULT) == is_fault
+        assert faults(output) == is_fault * [
+            "adc: no good sample for 3 periods, limit 3 (rig: adc.stale_after_periods); "
+            "last: the loop itself missed 3 deadlines"
+        ]
+
+    def test_skipped_and_silent_periods_add_up(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.deadline()
+        gateway.deadline()  # one period without a sample
+        gateway.deadline(late_ns=PERIOD_NS)  # another, and one skipped
+        assert gateway.state is State.FAULT
+
+    def test_the_setpoint_follows_the_deadlines_over_a_skip(self) -> None:
+        rig = make_rig()
+        gateway = HandGateway(rig, make_gateway(rig, setpoints="ladder:0.01,0.02,0.03,0.04@0/0.0112"))
+        gateway.to(State.RUNNING)
+        gateway.period()
+        gateway.deadline(late_ns=2 * PERIOD_NS)
+        cycle = gateway.sample().cycle
+        assert cycle is not None
+        assert cycle.axes[0].setpoint == 0.04
+
+
+class TestHeartbeatLoss:
+    @pytest.mark.parametrize("board", ["adc", "dac"])
+    @pytest.mark.parametrize("state", [State.ARMED, State.RUNNING])
+    def test_either_board_is_a_fault_exactly_after_its_time(self, board: str, state: State) -> None:
+        gateway = hand(state)
+        other = DAC_UP if board == "adc" else ADC_UP
+        gateway.deadline()
+        gateway.give(ADC_UP, DAC_UP)
+        gateway.sample()
+        for _ in range(TIMEOUT_PERIODS):
+            gateway.deadline()
+            gateway.give(other)
+            gateway.sample()
+            assert gateway.state is state
+        output = gateway.deadline()
+        assert gateway.state is State.FAULT
+        assert faults(output) == [
+            f"{board}: no heartbeat for 314 ms, limit 302 ms (rig: {board}.heartbeat_timeout_periods)"
+        ]
+        assert commands(output) == [CENTRED, CENTRED]
+        assert output.frames[0].id == codec.RPDO1_DAC
+
+    @pytest.mark.parametrize("board", ["adc", "dac"])
+    def test_each_has_its_own_time(self, board: str) -> None:
+        gateway = hand(State.READY, **{f"{board}__heartbeat_timeout_periods": "12"})
+        for _ in range(12):
+            gateway.deadline()
+            gateway.sample()
+            assert gateway.state is State.READY
+        output = gateway.deadline()
+        assert gateway.state is State.OFFLINE
+        assert texts(output)[0].startswith(f"{board}: no heartbeat for ")
+
+    def test_ready_comes_back_with_the_heartbeat(self) -> None:
+        gateway = hand(State.READY)
+        for _ in range(TIMEOUT_PERIODS + 1):
+            gateway.deadline()
+            gateway.give(ADC_UP)
+            gateway.sample()
+        assert gateway.state is State.OFFLINE
+        gateway.period()
+        assert gateway.state is State.READY
+
+    def test_a_silent_simulated_board_is_a_fault(self) -> None:
+        bench = Bench(make_rig()).run()
+        bench.boards.dac.faults = DacFaults(silent_heartbeat=True)
+        bench.periods(40)
+        assert bench.gateway.state is State.FAULT
+        assert bench.gateway.fault_reason is not None
+        assert bench.gateway.fault_reason.startswith("dac: no heartbeat for ")
+        assert bench.boards.dac.valve_v == CENTRED
+
+
+class TestBoardRestart:
+    @pytest.mark.parametrize("boot", [ADC_BOOT, DAC_BOOT])
+    def test_while_running_it_is_a_fault_at_once_and_the_board_is_started(self, boot: Frame) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.periods(3)
+        output = gateway.give(boot)
+        board, node = ("adc", 0x10) if boot == ADC_BOOT else ("dac", 0x20)
+        assert gateway.state is State.FAULT
+        assert faults(output) == [f"{board}: left operational: boot-up"]
+        assert [frame.id for frame in output.frames] == [codec.RPDO1_DAC, codec.NMT]
+        assert commands(output) == [CENTRED]
+        assert output.frames[1].data == bytes((1, node))
+
+    @pytest.mark.parametrize("nmt_state", [4, 127, 3])
+    def test_leaving_operational_is_a_fault_too(self, nmt_state: int) -> None:
+        gateway = hand(State.ARMED)
+        assert faults(gateway.give(Frame(codec.HEARTBEAT_DAC, bytes((nmt_state,)))))
+        assert gateway.state is State.FAULT
+
+    def test_in_ready_it_goes_offline_and_comes_back(self) -> None:
+        gateway = hand(State.READY)
+        gateway.give(DAC_BOOT)
+        assert gateway.state is State.OFFLINE
+        gateway.period()
+        assert gateway.state is State.READY
+
+    @pytest.mark.parametrize("is_announced", [True, False])
+    def test_its_counter_may_begin_anew(self, is_announced: bool) -> None:
+        """Whether the boot-up message came, or the board was first missed and then came back."""
+        gateway = hand(State.READY)
+        gateway.period()
+        last = gateway.counter - 1
+        if not is_announced:
+            for _ in range(TIMEOUT_PERIODS + 2):
+                gateway.deadline()
+                gateway.give(DAC_UP)
+        gateway.give(ADC_BOOT)
+        gateway.counter = last  # the very counter that came last
+        gateway.period()
+        assert gateway.state is State.READY
+        assert gateway.core.rejected_frames == 0
+        assert gateway.core.lost_samples == 0
+
+    @pytest.mark.parametrize("board", ["adc", "dac"])
+    def test_a_simulated_board_that_restarts_is_brought_up_again_after_reset(self, board: str) -> None:
+        bench = Bench(make_rig()).run()
+        bench.periods(20)
+        slave = getattr(bench.boards, board)
+        bench._carry((), slave.start(bench.now_ns))
+        assert bench.gateway.state is State.FAULT
+        bench.operate(Trigger.RESET)
+        bench.periods(12)
+        assert bench.gateway.state is State.READY
+        bench.operate(Trigger.ARM)
+        bench.operate(Trigger.START)
+        bench.periods(20)
+        assert bench.gateway.state is State.RUNNING
+
+
+class TestEmergencies:
+    @pytest.mark.parametrize(("identifier", "board"), [(codec.EMCY_ADC, "adc"), (codec.EMCY_DAC, "dac")])
+    @pytest.mark.parametrize("state", [State.ARMED, State.RUNNING])
+    def test_armed_or_running_it_is_a_fault(self, identifier: int, board: str, state: State) -> None:
+        gateway = hand(state)
+        output = gateway.give(emergency(identifier, 0x8250))
+        assert gateway.state is State.FAULT
+        assert faults(output) == [f"{board}: EMCY 0x8250, error register 0x11"]
+        assert commands(output) == [CENTRED]
+
+    @pytest.mark.parametrize("state", [State.OFFLINE, State.READY])
+    def test_before_it_is_a_warning(self, state: State) -> None:
+        gateway = hand(state)
+        (event,) = gateway.give(emergency(codec.EMCY_DAC, 0x1000, 0x01)).events
+        assert event == Event(Severity.WARNING, "dac", "EMCY 0x1000, error register 0x01")
+        assert gateway.state is state
+
+    @pytest.mark.parametrize("state", LIVE_STATES)
+    def test_its_end_is_good_news(self, state: State) -> None:
+        gateway = hand(state)
+        output = gateway.give(emergency(codec.EMCY_ADC, 0, 0))
+        assert output == Output(events=(Event(Severity.INFO, "adc", "EMCY: no error"),))
+        assert gateway.state is state
+
+    @pytest.mark.parametrize("length", [0, 7])
+    def test_another_length_is_rejected(self, length: int) -> None:
+        gateway = hand(State.RUNNING)
+        output = gateway.give(Frame(codec.EMCY_DAC, bytes(length)))
+        assert texts(output) == [f"guard: rejected: EMCY of dac has {length} bytes, not 8"]
+        assert gateway.state is State.RUNNING
+
+    def test_a_simulated_boards_emergency_is_a_fault(self) -> None:
+        bench = Bench(make_rig()).run()
+        bench.periods(3)
+        bench.boards.dac.faults = DacFaults(emergency_code=0x5030)
+        bench.period()
+        assert bench.gateway.fault_reason == "dac: EMCY 0x5030, error register 0x11"
+
+
+FOREIGN = {
+    "RPDO1_DAC": Frame(codec.RPDO1_DAC, bytes(8)),
+    "SYNC": Frame(codec.SYNC),
+    "NMT": Frame(codec.NMT, b"\x01\x00"),
+    "HEARTBEAT_GATEWAY": Frame(codec.HEARTBEAT_GATEWAY, b"\x05"),
+}
+
+
+class TestForeignMaster:
+    @pytest.mark.parametrize("state", LIVE_STATES)
+    @pytest.mark.parametrize("name", FOREIGN)
+    def test_the_gateways_own_frames_from_elsewhere_are_a_fault(self, name: str, state: State) -> None:
+        gateway = hand(state)
+        output = gateway.give(FOREIGN[name])
+        assert gateway.state is State.FAULT
+        assert faults(output) == [
+            f"bus: foreign {name} frame {FOREIGN[name]}: another master commands this bus"
+        ]
+        assert commands(output) == [CENTRED]
+
+    @pytest.mark.parametrize("data", [b"", b"\0", bytes(8)])
+    def test_whatever_they_carry(self, data: bytes) -> None:
+        for frame in FOREIGN.values():
+            gateway = hand(State.RUNNING)
+            gateway.give(frame._replace(data=data))
+            assert gateway.state is State.FAULT
+
+    def test_in_fault_each_is_told_once(self) -> None:
+        gateway = hand(State.RUNNING)
+        told = []
+        for _ in range(100):
+            told += texts(gateway.give(*FOREIGN.values()))
+        assert [text.split(" ")[2] for text in told if text.startswith("bus")] == list(FOREIGN)
+
+    def test_after_a_reset_they_are_a_fault_again(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.give(*FOREIGN.values())
+        gateway.operate(Trigger.RESET)
+        assert faults(gateway.give(FOREIGN["SYNC"]))
+
+
+class TestBusErrors:
+    @pytest.mark.parametrize("state", LIVE_STATES)
+    def test_bus_off_is_a_fault(self, state: State) -> None:
+        gateway = hand(state)
+        output = gateway.give(error_frame(0x40))
+        assert gateway.state is State.FAULT
+        assert faults(output) == ["bus: bus-off: check wiring, termination and bit rate"]
+        assert commands(output) == [CENTRED]
+
+    def test_bus_off_among_other_classes_is_one_too(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.give(error_frame(0x40 | 0x04))
+        assert gateway.state is State.FAULT
+
+    def test_other_errors_are_counted_and_told_when_their_number_doubles(self) -> None:
+        gateway = hand(State.RUNNING)
+        told = [text for _ in range(20) for text in texts(gateway.give(error_frame(0x04)))]
+        assert gateway.core.error_frames == 20
+        assert told == [
+            f"bus: error frame 00000004#0000000000000000, {number} so far" for number in (1, 2, 4, 8, 16)
+        ]
+        assert gateway.state is State.RUNNING
+
+    def test_the_shells_loss_of_the_link_is_a_fault(self) -> None:
+        gateway = hand(State.RUNNING)
+        output = gateway.core.link_failed("vcan0: network is down")
+        assert gateway.state is State.FAULT
+        assert faults(output) == ["link: vcan0: network is down"]
+        assert commands(output) == [CENTRED]
+
+    def test_a_second_fault_is_told_and_the_first_reason_stays(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.core.link_failed("first")
+        output = gateway.core.link_failed("second")
+        assert output == Output(events=(Event(Severity.WARNING, "link", "second"),))
+        assert gateway.core.fault_reason == "link: first"
+
+
+STRANGERS = {
+    "unknown": Frame(0x123, b"\x01"),
+    "extended": Frame(0x190, bytes(8), is_extended=True),
+    "remote": Frame(0x190, b"", is_remote=True),
+    "extended RPDO1": Frame(0x220, bytes(8), is_extended=True),
+    "remote SYNC": Frame(0x080, b"", is_remote=True),
+    "another node's TPDO": Frame(0x191, bytes(8)),
+    "SDO": Frame(0x590, bytes(8)),
+}
+
+
+class TestStrangers:
+    @pytest.mark.parametrize("kind", STRANGERS)
+    @pytest.mark.parametrize("state", State)
+    def test_they_are_told_once_and_change_nothing(self, kind: str, state: State) -> None:
+        gateway = hand(state)
+        frame = STRANGERS[kind]
+        output = gateway.give(frame)
+        assert output.frames == ()
+        assert texts(output) == [
+            f"bus: frame {frame} is not in arm.dbc; further ones of its identifier are ignored in silence"
+        ]
+        for _ in range(3):
+            assert gateway.give(frame) == Output()
+        assert gateway.state is state
+
+    def test_an_extended_frame_is_no_sample(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.deadline()
+        sample = sample_frame(CENTRED, gateway.counter)
+        assert gateway.give(sample._replace(is_extended=True)).frames == ()
+        assert len(commands(gateway.sample())) == 1
+
+
+class TestNotFinite:
+    GROWING = TransferFunction(num=[1.0], den=[1.0, -1e10])  # overflows within 40 samples
+
+    def test_an_output_that_is_not_finite_is_a_fault_and_leaves_no_command(self) -> None:
+        rig = make_rig()
+        laws = {"vertical": Pid(kp=20.0, ki=0.0), "horizontal": self.GROWING, "rotation": Pid(kp=1.0, ki=0.0)}
+        gateway = HandGateway(rig, make_gateway(rig, laws))
+        gateway.core._axes[1].law._L = [0.0]  # as if nothing had limited it
+        gateway.to(State.RUNNING)
+        for _ in range(60):
+            gateway.deadline()
+            gateway.give(ADC_UP, DAC_UP)
+            output = gateway.sample()
+            if gateway.state is State.FAULT:
+                break
+        assert commands(output) == [CENTRED]
+        (text,) = faults(output)
+        assert text.startswith("horizontal: control law gave ")
+        assert text.endswith(" V at setpoint 0.05, position 0")
+        assert output.cycle is not None
+        assert output.cycle.state is State.FAULT
+        assert not math.isfinite(output.cycle.axes[1].output_v)
+        assert [axis.command_v for axis in output.cycle.axes] == list(CENTRED)
+
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+    @pytest.mark.parametrize("axis", [0, 1, 2])
+    def test_on_any_axis(self, value: float, axis: int) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.core._axes[axis].setpoint = lambda t: value
+        gateway.deadline()
+        output = gateway.sample()
+        assert commands(output) == [CENTRED]
+        assert gateway.state is State.FAULT
+        assert faults(output)[0].startswith(f"{gateway.core._axes[axis].name}: control law gave ")
+
+
+class TestReset:
+    def test_after_it_the_counter_and_the_reports_begin_anew(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.deadline()
+        gateway.give(Frame(codec.TPDO1_ADC, b""))
+        gateway.core.link_failed("x")
+        gateway.operate(Trigger.RESET)
+        gateway.counter -= 1  # the last counter once more
+        gateway.period()
+        assert gateway.state is State.READY
+        gateway.give(FOREIGN["SYNC"])
+        gateway.operate(Trigger.RESET)
+        assert len(gateway.give(Frame(codec.TPDO1_ADC, b"")).events) == 1
+        gateway.give(FOREIGN["SYNC"])
+        gateway.operate(Trigger.RESET)
+        assert len(gateway.give(Frame(codec.TPDO1_ADC, b"")).events) == 1
+
+    def test_periods_in_fault_are_not_held_against_it(self) -> None:
+        gateway = hand(State.FAULT)
+        for _ in range(20):
+            gateway.deadline()
+        gateway.operate(Trigger.RESET)
+        gateway.period()
+        gateway.operate(Trigger.ARM)
+        gateway.deadline()
+        gateway.deadline()
+        assert gateway.state is State.ARMED
