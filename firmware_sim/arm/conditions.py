@@ -1,7 +1,7 @@
 """What can change on the arm while it runs: typed changes with their times, listed in a scenario file.
 
-Lives here: the changes and their document. Applying them is the arm's (``arm``), which does so as its own
-time passes: the same in lockstep and in a process of its own.
+Lives here: the changes. Applying them is the arm's (``arm``), which does so as its own time passes: the same
+in lockstep and in a process of its own. The file is ``firmware_sim.scenario``'s.
 
     [[events]]
     at_s = 2.0
@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from hil.documents import Document, from_toml
+from hil.documents import Document
 
 AxisName = Literal["vertical", "horizontal", "rotation"]
 
@@ -77,14 +77,4 @@ class BrokenWire(Change, frozen=True, tag="broken wire"):
 
 
 AnyChange = Payload | SupplyPressure | Temperature | FrictionChange | Leak | StuckSpool | BrokenWire
-
-
-class Conditions(Document, frozen=True):
-    """The events of a scenario; any order, those of one instant in the file's."""
-
-    events: list[AnyChange]
-
-
-def read_conditions(text: str, source: str) -> tuple[AnyChange, ...]:
-    """Read the TOML text of a list of events; ``source`` is its name for errors. Raises DocumentError."""
-    return tuple(from_toml(text, Conditions, source).events)
+"""What a scenario lists, in any order; those of one instant happen in the list's."""

@@ -10,8 +10,8 @@
  * Sources. Rigid body: Lagrange's equations, written out in parameters.py. Orifices: ISO 6358-1, made linear
  * where the pressures nearly meet. Chambers: the first law for an open volume with heat through its wall, as in
  * Richer and Hurmuzlu, J. Dyn. Sys. Meas. Control 122 (2000). Friction: LuGre, Canudas de Wit, Olsson, Astrom
- * and Lischinsky, IEEE Trans. Autom. Control 40 (1995), with a rational Stribeck curve. End stops: Hunt and Crossley,
- * J. Appl. Mech. 42 (1975), whose force starts from nothing at contact.
+ * and Lischinsky, IEEE Trans. Autom. Control 40 (1995), with a rational Stribeck curve. End stops: Hunt and
+ * Crossley, J. Appl. Mech. 42 (1975), whose force starts from nothing at contact.
  *
  * Time step: a leapfrog. Air stands half a step behind spool, positions and velocities, so that each is stepped
  * with the other halfway: air by the trapezoidal rule linearised at its start, the body by drift, kick and drift,
@@ -128,19 +128,24 @@ struct chamber {
     double rise, rise_per_supply;
 };
 
-static struct chamber solve_chamber(double pressure, double air_kg, double volume, double growth, double wall_w_k,
-                                    double supply_pa, double inlet, double outlet, double critical,
-                                    double atmosphere_pa, double ambient_k, double ambient_density, double dt)
+/* What all chambers share in a step. */
+struct surroundings {
+    double supply_pa, atmosphere_pa, air_k, density;
+};
+
+static struct chamber solve_chamber(const struct surroundings *around, double pressure, double air_kg, double volume,
+                                    double growth, double wall_w_k, double inlet, double outlet, double critical,
+                                    double dt)
 {
     const double k_per_pa = (volume - 0.5 * dt * growth) / (air_kg * GAS_J_KG_K), air_k = k_per_pa * pressure;
     const double density = sonic_density(air_k);
     struct chamber chamber;
-    chamber.in = orifice(inlet, critical, supply_pa, ambient_density, pressure, density);
-    chamber.out = orifice(outlet, critical, pressure, density, atmosphere_pa, ambient_density);
-    const double in_heat = HEAT_RATIO * GAS_J_KG_K * (chamber.in.kg_s >= 0.0 ? ambient_k : air_k);
-    const double out_heat = HEAT_RATIO * GAS_J_KG_K * (chamber.out.kg_s >= 0.0 ? air_k : ambient_k);
+    chamber.in = orifice(inlet, critical, around->supply_pa, around->density, pressure, density);
+    chamber.out = orifice(outlet, critical, pressure, density, around->atmosphere_pa, around->density);
+    const double in_heat = HEAT_RATIO * GAS_J_KG_K * (chamber.in.kg_s >= 0.0 ? around->air_k : air_k);
+    const double out_heat = HEAT_RATIO * GAS_J_KG_K * (chamber.out.kg_s >= 0.0 ? air_k : around->air_k);
     const double wall = (HEAT_RATIO - 1.0) * wall_w_k;
-    const double power = in_heat * chamber.in.kg_s - out_heat * chamber.out.kg_s + wall * (ambient_k - air_k) -
+    const double power = in_heat * chamber.in.kg_s - out_heat * chamber.out.kg_s + wall * (around->air_k - air_k) -
                          HEAT_RATIO * pressure * growth;
     const double decay = out_heat * chamber.out.per_upstream - in_heat * chamber.in.per_downstream + wall * k_per_pa +
                          HEAT_RATIO * growth;
@@ -159,7 +164,7 @@ static void step_air(const struct arm_parameters *arm, const struct arm_conditio
         regulator = regulator > 0.0 ? arm->regulator_max_kg_s : -arm->regulator_relief_kg_s;
         regulator_slope = 0.0;
     }
-    const double ambient_density = sonic_density(c->air_k);
+    const struct surroundings around = {s->supply_pa, arm->atmosphere_pa, c->air_k, sonic_density(c->air_k)};
     double surplus = regulator;
     double capacity = arm->supply_m3 / (GAS_J_KG_K * c->air_k * dt) - 0.5 * regulator_slope;
     struct chamber chambers[AXES][CHAMBERS];
@@ -171,8 +176,8 @@ static void step_air(const struct arm_parameters *arm, const struct arm_conditio
             const double side = i == 0 ? p->area_m2 : -p->area_m2;
             const double volume = p->dead_volume_m3 + p->area_m2 * p->half_stroke_m + side * x->position_m;
             const struct chamber chamber = solve_chamber(
-                x->pressure_pa[i], x->air_kg[i], volume, side * x->velocity_m_s, p->heat_w_k, s->supply_pa, edges[i],
-                edges[1 - i] + c->axis[a].leak_m3_s_pa[i], p->critical_ratio, arm->atmosphere_pa, c->air_k, ambient_density, dt);
+                &around, x->pressure_pa[i], x->air_kg[i], volume, side * x->velocity_m_s, p->heat_w_k, edges[i],
+                edges[1 - i] + c->axis[a].leak_m3_s_pa[i], p->critical_ratio, dt);
             surplus -= chamber.in.kg_s + 0.5 * chamber.in.per_downstream * chamber.rise;
             capacity += 0.5 * (chamber.in.per_upstream + chamber.in.per_downstream * chamber.rise_per_supply);
             chambers[a][i] = chamber;
@@ -201,7 +206,7 @@ static void step_air(const struct arm_parameters *arm, const struct arm_conditio
  * The bristle, z' = v - wear z, takes the second-order L-stable Pade form of its exponential. The second pass has
  * wear at the step's mean velocity: else dry friction would lag behind every acceleration. */
 static void kick_axis(const struct axis_parameters *p, struct axis_state *s, double mass, double force,
-                          double friction_factor, double load, double dt)
+                      double friction_factor, double load, double dt)
 {
     const double inertia = 2.0 * mass / dt;
     const double side = s->position_m > 0.0 ? 1.0 : -1.0;
@@ -229,7 +234,7 @@ static void kick_axis(const struct axis_parameters *p, struct axis_state *s, dou
     s->velocity_m_s = 2.0 * mean - s->velocity_m_s;
 }
 
-/* Eq. (1), each row divided into the axis' own cylinder coordinate. */
+/* Eq. (1), each row in the coordinate of the axis' own cylinder. */
 static void kick_body(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double dt)
 {
     const double link = arm->horizontal_kg, payload = c->payload_kg, pulley = arm->pulley_m;

@@ -201,6 +201,7 @@ def read_arm(text: str, source: str) -> ArmParameters:
     Raises DocumentError naming key, value and limit of whatever physics does not allow.
     """
     arm = from_toml(text, ArmParameters, source)
+    _check_reach(arm, source)
     for name, axis, travel, mass_kg in zip(AXES, arm.ordered, arm.travel, arm.least_masses_kg, strict=True):
         where = f"{source}: axes.{name}"
         _check_friction(axis.friction, f"{where}.friction")
@@ -224,6 +225,15 @@ def absolute_pa(gauge_kpa: float, supply: Supply) -> float:
 def kelvin(celsius: float) -> float:
     """Absolute temperature."""
     return celsius + 273.15
+
+
+def _check_reach(arm: ArmParameters, source: str) -> None:
+    least = 0.5 * arm.axes.horizontal.cylinder.stroke_m
+    if arm.body.reach_m < least:
+        raise DocumentError(
+            f"{source}: body.reach_m: {arm.body.reach_m} m is under {least} m, half of the horizontal "
+            "cylinder.stroke_m: the link would pass through the axis of rotation"
+        )
 
 
 def _check_friction(friction: Friction, where: str) -> None:

@@ -13,13 +13,15 @@ from firmware_sim.arm.conditions import (
     StuckSpool,
     SupplyPressure,
     Temperature,
-    read_conditions,
 )
+from firmware_sim.scenario import read_scenario
 from hil.errors import DocumentError
 
 CENTRED = (5.0, 5.0, 5.0)
 SECOND_NS = 1_000_000_000
 EVENTS = """
+title = "all that can change"
+duration_s = 10.0
 [[events]]
 at_s = 2.0
 change = "payload"
@@ -66,7 +68,7 @@ def arm(*changes: AnyChange) -> Arm:
 
 
 def test_events_are_read() -> None:
-    assert read_conditions(EVENTS, "scenario.toml") == (
+    assert read_scenario(EVENTS, "scenario.toml").events == [
         Payload(at_s=2.0, mass_kg=3.0),
         SupplyPressure(at_s=3.0, gauge_kpa=400.0),
         Temperature(at_s=4.0, celsius=35.0),
@@ -74,7 +76,7 @@ def test_events_are_read() -> None:
         Leak(at_s=6.0, axis="horizontal", chamber=2, conductance_m3_s_pa=1e-9),
         StuckSpool(at_s=7.0, axis="vertical", stuck=True),
         BrokenWire(at_s=8.0, axis="vertical", broken=False),
-    )
+    ]
 
 
 @pytest.mark.parametrize(
@@ -96,7 +98,7 @@ def test_events_are_read() -> None:
 def test_an_impossible_event_is_refused_by_its_place(good: str, bad: str, place: str) -> None:
     assert EVENTS.count(good) >= 1
     with pytest.raises(DocumentError) as caught:
-        read_conditions(EVENTS.replace(good, bad, 1), "scenario.toml")
+        read_scenario(EVENTS.replace(good, bad, 1), "scenario.toml")
     assert str(caught.value).startswith("scenario.toml: ")
     assert place in str(caught.value)
 

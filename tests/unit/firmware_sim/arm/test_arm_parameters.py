@@ -85,6 +85,10 @@ def test_stop_too_stiff_for_the_step_is_refused() -> None:
     assert "axes.horizontal.stop.stiffness_n_m: 50000000.0 N/m exceeds 1.224e+07 N/m" in message
 
 
+def test_reach_that_would_cross_the_axis_of_rotation_is_refused() -> None:
+    assert "mine.toml: body.reach_m: 0.1 m is under 0.15 m" in refusal("body.reach_m", "0.1")
+
+
 def test_load_that_would_make_friction_negative_is_refused() -> None:
     message = refusal(f"{VERTICAL}.friction.per_moment_1_n_m", "0.5")
     assert "axes.vertical.friction.per_moment_1_n_m: 0.5 exceeds 0.4532" in message
