@@ -113,7 +113,8 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
         console.print(summarise(recording).table())
         picture = report.path.with_suffix(".png")
         plot_run(recording, picture)
-        console.print(f"recording  {report.path}\nplot       {picture}")
+        console.print(f"recording  {report.path}  (opens in Foxglove and PlotJuggler)\nplot       {picture}")
+        console.print(f"next       hil replay --verify {report.path}")
         if scenario is not None:
             figure = report.path.with_name(f"{report.path.stem}-figure.png")
             plot_run(recording, figure, axes=scenario.figure_axes, title=scenario.title)
