@@ -3,12 +3,13 @@
 For Gs = n/d let m be the spectral factor, m m~ = n n~ + d d~ with m Hurwitz (p~ is p(-s)). A controller p/q
 gives 1/ε² = 1 + max |f/c|², where d q + n p = m c and d~ p - n~ q = m f (Lagrange's identity). So a loop of
 margin 1/γ is a function F = f/c, |F| <= β = sqrt(γ² - 1), whose values at the roots of m~ are prescribed:
-Nevanlinna-Pick. At the optimum F = β c~/c, an eigenproblem; the central solution has β² c c~ - f f~
-proportional to m m~, one linear equation. It is the controller that McFarlane and Glover get from two Riccati
-equations (``loop_shaping``), for strictly proper plants and others.
+Nevanlinna-Pick. Its central solution, for which β² c c~ - f f~ is proportional to m m~, is the controller
+that McFarlane and Glover get from two Riccati equations (``loop_shaping``), strictly proper plant or not.
 
-With c and f as partial fractions over the roots s_i of m both problems are built of the Cauchy matrix
-1/(s_i + s_j), so roots may lie decades apart. Where two of them nearly coincide, ``loop_shaping`` is asked.
+Everything is written in the orthonormal basis of Takenaka and Malmquist for functions g/m, φ = (sI - A)^-1 b
+with A + A* + b b* = 0 and A triangular, its diagonal the roots of m. There the prescribed values are one
+matrix R, a function of A; the optimum is β = ‖R‖ and the central solution one Hermitian equation. Roots may
+coincide (delays do that) or lie decades apart.
 """
 
 from __future__ import annotations
@@ -17,84 +18,80 @@ from typing import NamedTuple
 
 import numpy as np
 
-from design import loop_shaping
 from design import polynomials as poly
 from design.peaks import Power
 from design.plant import TransferFunction
-from design.polynomials import Array, ComplexArray, Flags
-from design.realisation import realise, transfer_function
+from design.polynomials import Array, ComplexArray
 
 _ANGLES = np.pi / 16.0 * np.arange(16)
-_COINCIDENT = 1e-5
+_NEARLY_ZERO = 1e-100
 
 
-class _Conditions(NamedTuple):
-    """Monic shaped plants (B, N + 1) in scaled time, roots s (B, N) of m, and what F must be at them."""
+class _Problem(NamedTuple):
+    """Monic shaped plants (B, N + 1) in scaled time, and the interpolation problem in the basis."""
 
     n: Array
-    d: Array
-    s: ComplexArray
-    ratio: ComplexArray
-    """-f/c at -s, in the mixture that no mirrored pole or zero makes 0/0."""
+    roots: ComplexArray
+    """Of m (B, N), the fastest first: so triangular solutions divide large by large."""
+    A: ComplexArray
+    """(B, N, N)"""
+    b: Array
+    """(B, N)"""
+    R: ComplexArray
+    """(B, N, N)"""
+    values: tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]
+    """n, n~, d, d~ of A."""
     scale: Array
     """rad/s (B,)"""
-    coincident: Flags
 
 
 def optimal_margins(Gs: TransferFunction) -> Array:
-    """ε_opt (B,) of shaped plants (B, n + 1), Appendix A."""
-    return _margins(_conditions(Gs))
+    """ε_opt (B,) of shaped plants (B, n + 1), Appendix A; 0 where an unstable mode is hidden."""
+    return _margins(_problem(Gs).R)
 
 
 def central_controllers(Gs: TransferFunction, factor: float = 1.1) -> tuple[TransferFunction, Array]:
     """K∞ (B, N + 1) of eq. (6) for γ = factor γ_opt, and ε_opt (B,). Negative feedback, factor > 1."""
-    n, d, s, ratio, scale, coincident = conditions = _conditions(Gs)
-    margins = _margins(conditions)
-    N = s.shape[-1]
-    beta_squared = (factor / margins) ** 2 - 1.0
-    # c = m (1 + Σ k_j/(s - s_j)), f = m Σ l_j/(s - s_j).
-    # Then q and p are such sums too, with q -> m and p -> n as s -> ∞.
-    sums = s[:, :, None] + s[:, None, :]
-    pick = 1.0 / sums - ratio[:, :, None] / sums * ratio[:, None, :] / beta_squared[:, None, None]
-    pick[coincident] = np.eye(N)
-    f_residues = np.linalg.solve(pick, ratio[..., None])[..., 0]
-    c_residues = -ratio * f_residues / beta_squared[:, None]
-    at_mirror = (-1.0) ** N * sums.prod(axis=-1)
-    q_residues = (poly.at(d, -s) * c_residues - poly.at(n, s) * f_residues) / at_mirror
-    p_residues = (poly.at(n, -s) * c_residues + poly.at(d, s) * f_residues) / at_mirror
-    m, others = poly.from_roots(s), poly.from_roots(_all_but_one(s))
-    q = poly.add(m.real, _combined(q_residues, others))
-    p = poly.add(n[:, :1] * m.real, _combined(p_residues, others))
+    problem = _problem(Gs)
+    n, roots, A, b, R, (n_A, n_mirrored_A, d_A, d_mirrored_A), scale = problem
+    margins = _margins(R)
+    N = roots.shape[-1]
+    beta_squared = ((factor / np.maximum(margins, _NEARLY_ZERO)) ** 2 - 1.0)[:, None, None]
+    # c = m (1 + k'φ), f = m l'φ, and conj(l) = -R (b + conj(k)), conj(k) = -R* conj(l)/β².
+    column = b[:, :, None]
+    R_star = R.conj().transpose(0, 2, 1)
+    l_conj = np.linalg.solve(np.eye(N) - R @ R_star / beta_squared, -R @ column)
+    k = (-R_star @ l_conj / beta_squared).conj()
+    f = l_conj.conj()
+    # q m~ = d~c - nf and p m~ = n~c + df; so q -> m and p -> n_N m as s -> ∞.
+    eye = np.eye(N)
+    at_mirror = eye + np.zeros_like(A)
+    for i in range(N):
+        at_mirror = at_mirror @ (-A - roots[:, i, None, None] * eye)
+    right = np.concatenate(
+        [
+            d_mirrored_A.transpose(0, 2, 1) @ k - n_A.transpose(0, 2, 1) @ f,
+            n_mirrored_A.transpose(0, 2, 1) @ k + d_A.transpose(0, 2, 1) @ f,
+        ],
+        axis=-1,
+    )
+    shares = np.linalg.solve(at_mirror.transpose(0, 2, 1), right).transpose(0, 2, 1)
+    m, basis = poly.from_roots(roots).real, _basis(roots, b)
+    sums = (shares @ basis).real if N else np.zeros((len(n), 2, 1))
     back = scale[:, None] ** np.arange(N + 1.0)
-    K = TransferFunction(p * back, q * back)
-    for i in np.flatnonzero(coincident):
-        some = loop_shaping.synthesise(_one(Gs, int(i)), factor).controller
-        K.num[i], K.den[i] = transfer_function(some)
-    return K, margins
+    q = poly.add(m, sums[:, 0]) * back
+    p = poly.add(n[:, :1] * m, sums[:, 1]) * back
+    return TransferFunction(p, q), margins
 
 
-def _margins(conditions: _Conditions) -> Array:
-    n, d, s, ratio, scale, coincident = conditions
-    N = s.shape[-1]
-    if N == 0:
-        return np.ones(len(s))
-    # k of c = m Σ k_j/(s - s_j) at the optimum: β k_i = ratio_i m(-s_i)/m'(s_i) Σ_j k_j/(s_i + s_j).
-    differences = s[:, :, None] - s[:, None, :]
-    sums = s[:, :, None] + s[:, None, :]
-    differences[:, np.arange(N), np.arange(N)] = 1.0
-    differences[coincident] = 1.0
-    weights = (-1.0) ** N * ratio * (sums / differences).prod(axis=-1)
-    root = np.sqrt(weights)
-    beta = np.abs(np.linalg.eigvals(root[:, :, None] / sums * root[:, None, :])).max(axis=-1)
-    margins = np.asarray(1.0 / np.sqrt(1.0 + beta**2))
-    for i in np.flatnonzero(coincident):
-        back = scale[i] ** np.arange(N + 1.0)
-        one = TransferFunction(n[i] * back, d[i] * back)
-        margins[i] = 1.0 / loop_shaping.gamma_opt(realise(one))
-    return margins
+def _margins(R: ComplexArray) -> Array:
+    if R.shape[-1] == 0:
+        return np.ones(len(R))
+    beta_squared = np.linalg.eigvalsh(R @ R.conj().transpose(0, 2, 1))[:, -1]
+    return np.asarray(1.0 / np.sqrt(1.0 + beta_squared))
 
 
-def _conditions(Gs: TransferFunction) -> _Conditions:
+def _problem(Gs: TransferFunction) -> _Problem:
     num, den = np.atleast_2d(Gs.num), np.atleast_2d(Gs.den)
     N = den.shape[-1] - 1
     lead = den[:, :1]
@@ -102,44 +99,54 @@ def _conditions(Gs: TransferFunction) -> _Conditions:
         poly.add(num, np.zeros((len(den), N + 1))) / lead,
         poly.add(den, np.zeros((len(num), 1))) / lead,
     )
-    s: ComplexArray = -np.sqrt(-poly.roots(Power(num, den).coefficients))
-    scale = np.exp(np.log(np.abs(s) + 1e-300).mean(axis=-1)) if N else np.ones(len(den))
+    roots: ComplexArray = -np.sqrt(-poly.roots(Power(num, den).coefficients))
+    roots = np.take_along_axis(roots, np.argsort(-np.abs(roots), axis=-1), axis=-1)
+    scale = np.exp(np.log(np.abs(roots) + 1e-300).mean(axis=-1)) if N else np.ones(len(den))
     down = scale[:, None] ** -np.arange(N + 1.0)
-    n, d, s = num * down, den * down, s / scale[:, None]
-    with np.errstate(all="ignore"):
-        distance = np.abs(s[:, :, None] / s[:, None, :] - 1.0) + np.eye(N)
-    coincident = ~(distance.min(axis=(1, 2), initial=1.0) > _COINCIDENT)
-    a, b = _mixture(n, d, -s)
-    above = a * poly.at(d, s) + b * poly.at(n, s)
-    below = b * poly.at(d, -s) - a * poly.at(n, -s)
-    return _Conditions(n, d, s, above / below, scale, coincident)
+    n, d, roots = num * down, den * down, roots / scale[:, None]
+    b = np.sqrt(-2.0 * roots.real)
+    i = np.arange(N)
+    A = np.where(i[:, None] > i, -b[:, :, None] * b[:, None, :], 0.0).astype(np.complex128)
+    A[:, i, i] = roots
+    n_A, n_mirrored_A = _at_matrix(n, A)
+    d_A, d_mirrored_A = _at_matrix(d, A)
+    cos, sin = _mixture(n_mirrored_A[:, i, i], d_mirrored_A[:, i, i])
+    below = cos * d_mirrored_A - sin * n_mirrored_A
+    below[:, i, i] += _NEARLY_ZERO
+    above = sin * d_A + cos * n_A
+    R: ComplexArray = np.linalg.solve(below.transpose(0, 2, 1), above.transpose(0, 2, 1)).transpose(0, 2, 1)
+    return _Problem(n, roots, A, b, R, (n_A, n_mirrored_A, d_A, d_mirrored_A), scale)
 
 
-def _mixture(n: Array, d: Array, s: ComplexArray) -> tuple[Array, Array]:
-    """a, b (B, 1), a² + b² = 1, with b d - a n far from 0 at ``s``, the roots of m~.
+def _at_matrix(p: Array, A: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """p(A) and p(-A) (B, N, N)."""
+    eye, square = np.eye(A.shape[-1]), A @ A
+    parts = []
+    for coefficients in (p[:, ::-1][:, ::2], p[:, ::-1][:, 1::2]):
+        value = np.zeros_like(A)
+        for i in range(coefficients.shape[-1] - 1, -1, -1):
+            value = value @ square + coefficients[:, i, None, None] * eye
+        parts.append(value)
+    even, odd = parts[0], A @ parts[1]
+    return even + odd, even - odd
+
+
+def _mixture(at_n: ComplexArray, at_d: ComplexArray) -> tuple[Array, Array]:
+    """cos, sin (B, 1, 1) of the angle that keeps cos d - sin n farthest from 0 at the roots of m~.
 
     The two conditions, that m~ divides d~c - nf and n~c + df, are the same unless a pole mirrors a zero (a
-    delay does); then one is void. The mixture a (first) + b (second) never is.
+    delay does); then one is void. The mixture sin (first) + cos (second) never is.
     """
-    at_n, at_d = poly.at(n, s), poly.at(d, s)
-    size = np.abs(at_n) + np.abs(at_d)
+    size = np.abs(at_n) + np.abs(at_d) + _NEARLY_ZERO
     mixed = np.abs(np.cos(_ANGLES)[:, None, None] * at_d - np.sin(_ANGLES)[:, None, None] * at_n) / size
-    angle = _ANGLES[mixed.min(axis=-1, initial=1.0).argmax(axis=0)][:, None]
-    return np.sin(angle), np.cos(angle)
+    angle = _ANGLES[mixed.min(axis=-1, initial=1.0).argmax(axis=0)][:, None, None]
+    return np.cos(angle), np.sin(angle)
 
 
-def _all_but_one(s: ComplexArray) -> ComplexArray:
-    """(B, N, N - 1): row j has all of ``s`` (B, N) but s_j."""
-    N = s.shape[-1]
-    index = np.arange(N - 1) + (np.arange(N - 1) >= np.arange(N)[:, None])
-    return s[:, index]
-
-
-def _one(Gs: TransferFunction, i: int) -> TransferFunction:
-    num, den = np.atleast_2d(Gs.num), np.atleast_2d(Gs.den)
-    return TransferFunction(num[min(i, len(num) - 1)], den[min(i, len(den) - 1)])
-
-
-def _combined(residues: ComplexArray, others: ComplexArray) -> Array:
-    """Σ residue_j m/(s - s_j) (B, N)."""
-    return (residues[:, None, :] @ others)[:, 0].real
+def _basis(roots: ComplexArray, b: Array) -> ComplexArray:
+    """m φ_j as polynomials (B, N, N): b_j Π_{i<j} (s + conj s_i) Π_{i>j} (s - s_i)."""
+    N = roots.shape[-1]
+    others = np.arange(N - 1) + (np.arange(N - 1) >= np.arange(N)[:, None])
+    before = others < np.arange(N)[:, None]
+    chosen = roots[:, others]
+    return b[:, :, None] * poly.from_roots(np.where(before, -chosen.conj(), chosen))
