@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from design.search import Progress
 
 DESIGN_NAME = "design.toml"
+STRUCTURE_NAMES = "p, pi, pd, pid, pid-2dof, lead-lag, pi-lead"
+"""Of ``structures.STRUCTURES``, which is not imported for a help text."""
 PLANTS = Path(__file__).parent / "plants"
 PAPER = "paper"
 AXES = ("vertical", "horizontal", "rotation")
@@ -82,7 +84,7 @@ def _parser() -> argparse.ArgumentParser:
         "plant", nargs="?", default=PAPER, metavar="PLANT", help=f"plant file, or a shipped one: {shipped}"
     )
     parser.add_argument("--design", type=Path, metavar="FILE", help="design file, TOML (the shipped example)")
-    parser.add_argument("--structure", metavar="NAME", help="controller structure, with its own boxes (pid)")
+    parser.add_argument("--structure", metavar="NAME", help=f"{STRUCTURE_NAMES}, or module:Class (pid)")
     parser.add_argument("--seed", type=_seed, metavar="N", help="seed of every search (1)")
     parser.add_argument("--axis-unit", choices=("m", "rad"), help="refuse a plant in another unit")
     parser.add_argument(
@@ -139,6 +141,11 @@ def _read(options: argparse.Namespace) -> _Inputs:
 
 
 def _reproduce_paper(options: argparse.Namespace) -> int:
+    others = (options.design, options.structure, options.seed, options.axis_unit, options.measured)
+    if options.plant != PAPER or any(value is not None for value in others):
+        raise HilError(
+            "--paper carries out the paper's own design; of the other options it takes --out alone"
+        )
     from rich.console import Console
     from rich.table import Table
 

@@ -129,7 +129,7 @@ def open_loops(problem: Problem, candidates: Sequence[Candidate], all_styles: di
     ]
     return Figure(
         "fig7-bode",
-        "Fig. 7. Open loops: nominal plant, shaped plant, plant with each controller",
+        "Fig. 7. Open loops: plant, shaped plant, with each controller",
         "A loop that follows the shaped plant Gs keeps what the weight was chosen for.",
         draw(panels, "Fig 7"),
     )

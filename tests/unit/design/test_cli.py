@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.designs import HEAVIER, PERIOD_S, sampled_design
+from support.designs import HEAVIER, PERIOD_S, reproduction, sampled_design
 
-from design import paper_claims
+from design import paper, paper_claims
+from design.cli import STRUCTURE_NAMES
 from design.design_file import example_text
 from design.plant import paper_plant
+from design.structures import STRUCTURES
 from hil.cli import main
 from hil.controller_file import Pid, check_controller_fits, read_controller
 from hil.documents import to_json
@@ -273,8 +276,20 @@ def test_paper_that_does_not_reproduce_is_exit_status_1(
     here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(paper_claims, "PPID_EPS", 0.56)
+    done = reproduction()
+    judged = replace(done, verdicts=paper_claims.judge(done.evidence))
+    monkeypatch.setattr(paper, "reproduce", lambda _on_progress: judged)
     assert main(["design", "--paper"]) == 1
     assert "DOES NOT REPRODUCE" in capsys.readouterr().out
+
+
+def test_paper_takes_no_other_design(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for others in (["rotation"], ["--seed", "2"], ["--structure", "pi"]):
+        assert "--paper carries out the paper's own design" in error_of(["--paper", *others], capsys)
+
+
+def test_help_names_every_structure() -> None:
+    assert STRUCTURE_NAMES.split(", ") == list(STRUCTURES)
 
 
 # Speed
