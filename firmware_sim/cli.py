@@ -13,6 +13,7 @@ from pathlib import Path
 from time import monotonic_ns, time_ns
 from typing import TYPE_CHECKING, Protocol
 
+from firmware_sim.plant import Plant
 from firmware_sim.plant_options import add_plant_options, build_plant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.errors import DocumentError, EnvironmentLackError, HilError
@@ -35,6 +36,12 @@ class Bus(Protocol):
     def close(self) -> None: ...  # noqa: D102
 
 
+class Watch(Protocol):
+    """Whoever looks at the plant now and then."""
+
+    def look(self, now_ns: int) -> None: ...  # noqa: D102
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run ``firmware-sim`` with ``argv``; returns the exit status: 2 wrong input, 1 failed while running."""
     options = _parser().parse_args(argv)
@@ -45,6 +52,8 @@ def main(argv: list[str] | None = None) -> int:
             _die_with(options.parent_pid)
         rig = _read_rig(options.rig)
         plant, plant_name = build_plant(rig, options)
+        if options.watch and options.linear:
+            raise DocumentError("--watch shows the pneumatic arm; it has nothing to show with --linear")
         bus, spec = _open(options.bus)
     except HilError as error:
         return _complain(error, 2)
@@ -52,13 +61,13 @@ def main(argv: list[str] | None = None) -> int:
         try:
             print(_description(rig, plant_name, spec), flush=True)
             _take_priority()
-            simulate(SimulatedRig(rig, plant), bus)
+            simulate(SimulatedRig(rig, plant), bus, _watch(plant) if options.watch else None)
         except HilError as error:
             return _complain(error, 1)
     return 0
 
 
-def simulate(rig: SimulatedRig, bus: Bus) -> None:
+def simulate(rig: SimulatedRig, bus: Bus, watch: Watch | None = None) -> None:
     """Power the boards on and run them on CLOCK_MONOTONIC until something is raised.
 
     Frames are taken at the instants of their arrival and before any deadline: where this process was kept
@@ -70,6 +79,8 @@ def simulate(rig: SimulatedRig, bus: Bus) -> None:
     while True:
         for frame in frames:
             bus.send(frame)
+        if watch is not None:
+            watch.look(now_ns)
         received = bus.receive(max(rig.next_deadline_ns - monotonic_ns(), 0) * 1e-9)
         if received is None:
             now_ns = monotonic_ns()
@@ -82,6 +93,14 @@ def simulate(rig: SimulatedRig, bus: Bus) -> None:
 def _arrival_ns(stamp_ns: int) -> int:
     """A frame's stamp on CLOCK_MONOTONIC; by its age, because the wall clock may be set while we run."""
     return monotonic_ns() - max(time_ns() - stamp_ns, 0)
+
+
+def _watch(plant: Plant) -> Watch:
+    from firmware_sim.arm.arm import Arm
+    from firmware_sim.watch import ArmWatch
+
+    assert isinstance(plant, Arm)
+    return ArmWatch(plant)
 
 
 def _take_priority() -> None:
@@ -105,6 +124,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--rig", type=Path, metavar="FILE", help="rig file (the shipped rig.toml)")
     add_plant_options(parser)
+    parser.add_argument("--watch", action="store_true", help="show the arm and its pressures, live")
     parser.add_argument(
         "--parent-pid", type=int, metavar="PID", help="end when this process, which must be the parent, ends"
     )

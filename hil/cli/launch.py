@@ -36,7 +36,7 @@ MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".csv":
 
 
 def run_realtime(
-    setup: RunSetup, plan: RunPlan, path: Path, duration_s: float, bus: str, options: argparse.Namespace
+    setup: RunSetup, plan: RunPlan, path: Path, bus: str, options: argparse.Namespace
 ) -> RecorderReport:
     """Run on ``bus``; ``sim`` starts the boards in a process of their own on a bus of their own."""
     from hil.links import open_link
@@ -54,7 +54,7 @@ def run_realtime(
         epoch_offset_ns = time.time_ns() - time.monotonic_ns()
         header = _header(setup, epoch_offset_ns, spec, link.stamp_origin, _host_versions())
         recorder = Recorder(path, header, lossless=False)
-        display = Display(axes, duration_s)
+        display = Display(axes)
         stack.callback(display.close)
         with real_time_rights() as rights:
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)

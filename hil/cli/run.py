@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,8 +34,10 @@ def main(argv: list[str]) -> int:
     scenario, scenario_text = _scenario(options)
     setup = _setup(options, scenario, scenario_text)
     bus = options.bus or setup.rig.bus.channel
-    if bus != SIMULATED and (options.arm or options.linear or options.scenario):
-        raise DocumentError(f"--arm, --linear and --scenario are for simulated boards, not for --bus {bus}")
+    if bus != SIMULATED and (options.arm or options.linear):
+        raise DocumentError(f"--arm and --linear choose what `hil run` simulates; --bus {bus} is no simulation")
+    if bus != SIMULATED and scenario is not None and scenario.events:
+        sys.stderr.write("The scenario's events are the simulated arm's: firmware-sim --scenario has them.\n")
     duration_s = options.duration or (scenario.duration_s if scenario else DEFAULT_DURATION_S)
     plan = RunPlan(duration_s, setup.rig.loop.period_s)
     path: Path = options.record or _default_path()
@@ -42,7 +45,7 @@ def main(argv: list[str]) -> int:
     if options.lockstep:
         report = run_lockstep(setup, plan, path, duration_s, options)
     else:
-        report = run_realtime(setup, plan, path, duration_s, bus, options)
+        report = run_realtime(setup, plan, path, bus, options)
     return _tell(plan, report, scenario)
 
 

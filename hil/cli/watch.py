@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import signal
-import socket
 import sys
 from typing import Any
 
@@ -13,6 +10,7 @@ from rich.live import Live
 from rich.text import Text
 
 from hil.events import Severity
+from hil.onlooker import messages
 
 STYLES = {
     Severity.INFO: "green",
@@ -21,21 +19,14 @@ STYLES = {
     Severity.FATAL: "bold red",
 }
 STATE_STYLES = {"running": "bold green", "fault": "bold red"}
-LONGEST_MESSAGE = 65536
 
 
 def main(file_descriptor: int) -> None:
     """Print what arrives on a socket of :class:`hil.shells.display.Display` until it is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends first, and says so here
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     console = Console(stderr=True, highlight=False)
     axes: list[list[str]] = []
-    with (
-        socket.socket(fileno=file_descriptor) as connection,
-        Live(console=console, auto_refresh=False, transient=True) as live,
-    ):
-        while data := connection.recv(LONGEST_MESSAGE):
-            message: dict[str, Any] = json.loads(data)
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        for message in messages(file_descriptor):
             if "event" in message:
                 severity, source, text = message["event"]
                 line = Text(f"{source}: {text}", style=STYLES[Severity(severity)])

@@ -34,6 +34,7 @@ FLOORS = {
     "hil.plots": 3,
     "hil.recording.*": 3,
     "hil.rights": 3,
+    "hil.onlooker": 3,
     "hil.run_setup": 3,
     "hil.shells.*": 3,
     "hil.summary": 3,

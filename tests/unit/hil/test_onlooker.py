@@ -1,0 +1,84 @@
+"""What an onlooker is told arrives in order; a stalled or dead onlooker never holds the teller up."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.events import AxisSignals, Cycle, Event, Severity
+from hil.gateway import Gateway
+from hil.onlooker import Onlooker, messages
+from hil.run_setup import load_setup
+from hil.shells.display import STATUS_PERIODS, Display
+
+
+def test_messages_come_in_order_until_the_teller_closes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.send(b'{"a": 1}')
+    ours.send(b'{"b": [2, 3]}')
+    ours.close()
+    assert list(messages(theirs.detach())) == [{"a": 1}, {"b": [2, 3]}]
+
+
+@pytest.fixture
+def stalled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Onlooker:
+    """An onlooker that never reads."""
+    (tmp_path / "stalled.py").write_text("import signal\nsignal.pause()\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    return Onlooker("stalled")
+
+
+def test_a_stalled_onlooker_loses_messages_and_holds_nobody_up(stalled: Onlooker) -> None:
+    for number in range(5000):
+        stalled.tell({"number": number})  # would block for ever if it waited
+    os.kill(stalled._process.pid, signal.SIGKILL)
+    stalled._process.wait()
+    stalled.tell({"to": "nobody"})
+    stalled.close()
+
+
+def test_the_display_prints_events_and_no_status_where_there_is_no_terminal() -> None:
+    program = """
+from hil.events import Event, Severity
+from hil.shells.display import Display
+display = Display([("vertical", "m")])
+display.event(Event(Severity.FATAL, "adc", "no good sample for 5 periods"))
+display.close()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stderr == "adc: no good sample for 5 periods\n"
+    assert done.stdout == ""
+
+
+class Told:
+    """In place of an onlooker."""
+
+    def __init__(self) -> None:
+        self.messages: list[dict[str, object]] = []
+
+    def tell(self, message: dict[str, object]) -> None:
+        self.messages.append(message)
+
+
+def test_a_status_tells_the_worst_lateness_since_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = Told()
+    monkeypatch.setattr("hil.shells.display.Onlooker", lambda _module: told)
+    display = Display([("vertical", "m")])
+    gateway: Gateway = load_setup(None, {}, {}).gateway(0)
+    signals = AxisSignals(0.1, 0.09, 0.01, 0.1, 5.1, 7.7)
+    for number in range(1, 2 * STATUS_PERIODS + 1):
+        late_ns = 3_000_000 if number == 5 else 100_000
+        display.cycle(Cycle(number, 0, late_ns, 0, gateway.state, True, (signals,)), gateway)
+    display.event(Event(Severity.INFO, "adc", "operational"))
+    axes, first, second, event = told.messages
+    assert axes == {"axes": [("vertical", "m")]}
+    assert (first["lateness_ms"], second["lateness_ms"]) == (3.0, 0.1)
+    assert first["axes"] == [[0.1, 0.09, 5.1]]
+    assert event == {"event": [20, "adc", "operational"]}
