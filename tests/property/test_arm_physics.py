@@ -202,6 +202,20 @@ def _only_friction(
     )
 
 
+@quick
+@given(speed=st.floats(-3.0, 3.0), depth_m=st.floats(1e-4, 2e-3), side=st.sampled_from([-1.0, 1.0]))
+def test_a_stop_only_pushes(speed: float, depth_m: float, side: float) -> None:
+    arm = Arm(arm_with(FRICTIONLESS | AIRLESS | {"axes.horizontal.spring.rate_n_m": 0.0}), seed=1)
+    axis = arm.state.axis[1]
+    axis.position_m, axis.velocity_m_s = side * (0.15 + depth_m), side * speed
+    away = -side * axis.velocity_m_s
+    while side * axis.position_m > 0.15:
+        arm.advance(MILLISECOND_NS // 4, CENTRED)
+        assert -side * axis.velocity_m_s >= away - 1e-6
+        away = -side * axis.velocity_m_s
+    assert away > 0.0
+
+
 def test_air_in_the_cylinders_takes_the_temperature_of_its_surroundings() -> None:
     arm = Arm(arm_with({}), seed=1)
     arm.apply(Temperature(at_s=0.0, celsius=40.0))
