@@ -1,0 +1,335 @@
+"""The gateway core under anything at all: any frames, any times, any operator.
+
+It never raises; whatever it sends to the valves is within their limits, and centred in every state but
+running; its life cycle follows the table; the same calls give the same answers.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
+
+from helpers import (
+    ADC_UP,
+    AXES,
+    DAC_UP,
+    START_NS,
+    SYNC,
+    Bench,
+    commands,
+    make_gateway,
+    make_rig,
+    sample_frame,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_sim.faults import AdcFaults, DacFaults
+from hil.controller_file import Law, Pid, TransferFunction
+from hil.events import Output
+from hil.frames import Frame
+from hil.gateway import Gateway
+from hil.life_cycle import TRANSITIONS, State, Trigger
+from hil.rig import Rig
+from hil.wire import codec
+from hil.wire.crc8 import crc8_j1850
+
+COUNT_V = 10.0 / 32768
+PERIOD_NS = 11_200_000
+
+LAWS: tuple[Law, ...] = (
+    Pid(kp=20.0, ki=50.0, kd=1.0, tau_d=0.02),
+    Pid(kp=-1e6, ki=0.0),
+    TransferFunction(num=[1e9], den=[1.0, -1e9]),  # reaches infinity
+    TransferFunction(num=[1.0, 0.0], den=[1.0, 1.0]),
+)
+RIGS = tuple(
+    make_rig({"adc.protected": adc, "dac.protected": dac} | narrow, axes)
+    for adc, dac in (("true", "true"), ("false", "false"), ("true", "false"))
+    for narrow, axes in (
+        ({}, AXES),
+        (
+            {
+                "axes.horizontal.valve.min_v": "3.3333",
+                "axes.horizontal.valve.max_v": "6.6667",
+                "axes.horizontal.valve.max_rate_v_s": "25.0",
+                "axes.rotation.valve.centre_v": "4.9",
+                "axes.rotation.valve.channel": "1",
+            },
+            ("horizontal", "rotation"),
+        ),
+    )
+)
+
+
+class Deadline(NamedTuple):
+    late_ns: int
+
+
+class Sample(NamedTuple):
+    """The board's next sample, spoilt in one of the ways that the guards know."""
+
+    counts: tuple[int, int, int]
+    after_ns: int
+    skipped: int
+    spoilt: str
+
+
+class Arrival(NamedTuple):
+    frame: Frame
+
+
+class Operation(NamedTuple):
+    trigger: Trigger
+
+
+class LinkFailure(NamedTuple):
+    reason: str
+
+
+class BringUp(NamedTuple):
+    """What it takes to run, so that running is not a rare state."""
+
+    until: State
+
+
+class Periods(NamedTuple):
+    """Sound periods: deadline, heartbeats, a sample each."""
+
+    counts: tuple[tuple[int, int, int], ...]
+
+
+Step: TypeAlias = Periods | Deadline | Sample | Arrival | Operation | LinkFailure | BringUp
+Call: TypeAlias = tuple[Callable[[Gateway], Output], str]
+
+late = st.sampled_from([0, 0, 1, -1, -PERIOD_NS // 2, PERIOD_NS - 1, PERIOD_NS, 3 * PERIOD_NS, 10**12])
+counts = st.integers(328, 32440) | st.sampled_from([0, 327, 328, 32440, 32441, 32767, -1, -32768])
+samples = st.builds(
+    Sample,
+    st.tuples(counts, counts, counts),
+    st.sampled_from([0, 1_000_000, PERIOD_NS, PERIOD_NS + 1]),
+    st.sampled_from([0, 0, 0, 1, 200]),
+    st.sampled_from(["no", "no", "no", "crc", "length", "repeated"]),
+)
+known_ids = st.sampled_from(
+    [0x000, 0x080, 0x090, 0x0A0, 0x190, 0x220, 0x701, 0x710, 0x720, 0x710, 0x720, 0x040, 0x004]
+)
+frames = st.builds(
+    Frame,
+    known_ids | st.integers(0, 0x7FF) | st.integers(0, 2**29 - 1),
+    st.binary(max_size=8) | st.sampled_from([b"\x00", b"\x05", b"\x7f", bytes(8)]),
+    st.sampled_from([False] * 7 + [True]),
+    st.sampled_from([False] * 7 + [True]),
+    st.sampled_from([False] * 7 + [True]),
+)
+position = st.integers(328, 32440)
+good_periods = st.builds(
+    Periods, st.lists(st.tuples(position, position, position), min_size=1, max_size=6).map(tuple)
+)
+bring_ups = st.builds(BringUp, st.sampled_from([State.ARMED, State.RUNNING, State.RUNNING]))
+steps: st.SearchStrategy[Step] = st.one_of(
+    good_periods,
+    good_periods,
+    good_periods,
+    st.builds(Deadline, late),
+    samples,
+    st.builds(Arrival, frames),
+    st.builds(Operation, st.sampled_from(list(Trigger))),
+    bring_ups,
+    bring_ups,
+    st.builds(LinkFailure, st.text(max_size=5)),
+)
+
+
+class Subject:
+    """A gateway, the steps turned into calls, and what must hold after each."""
+
+    def __init__(self, rig: Rig, law: Law) -> None:
+        self.rig = rig
+        self.core = make_gateway(rig, law, "ladder:0.1,-0.1@0/0.05")
+        self.now_ns = START_NS
+        self.counter = 0
+        self.rpdo_counter = 0
+        self.sent_v: dict[str, float] = {name: axis.valve.centre_v for name, axis in rig.axes.items()}
+        self.calls: list[tuple[Callable[[Gateway], Output], Output]] = []
+
+    def take(self, step: Step) -> None:
+        match step:
+            case Periods(positions):
+                for position in positions:
+                    self.period(Sample(position, 1_000_000, 0, "no"))
+            case Deadline(late_ns):
+                self.now_ns = max(self.now_ns, self.core.next_deadline_ns + late_ns)
+                self.deadline()
+            case Sample():
+                self.now_ns += step.after_ns
+                self.receive(self.sample(step))
+            case Arrival(frame):
+                self.receive(frame)
+            case Operation(trigger):
+                self.operate(trigger)
+            case LinkFailure(reason):
+                self.call(lambda core: core.link_failed(reason))
+            case BringUp(until):
+                self.bring_up(until)
+
+    def bring_up(self, until: State) -> None:
+        self.operate(Trigger.RESET)
+        self.period(Sample((16384, 16384, 16384), 0, 0, "no"))
+        self.operate(Trigger.ARM)
+        if until is State.RUNNING:
+            self.operate(Trigger.START)
+
+    def period(self, sample: Sample) -> None:
+        self.now_ns = max(self.now_ns, self.core.next_deadline_ns)
+        self.deadline()
+        self.now_ns += sample.after_ns
+        for frame in (ADC_UP, DAC_UP, self.sample(sample)):
+            self.receive(frame)
+
+    def sample(self, step: Sample) -> Frame:
+        self.counter += 1 + step.skipped - (step.spoilt == "repeated")
+        volts = [count * COUNT_V for count in step.counts]
+        frame = sample_frame(volts, self.counter, protected=self.rig.adc.protected)
+        if step.spoilt == "crc":
+            return frame._replace(data=frame.data[:-1] + bytes((frame.data[-1] ^ 0x10,)))
+        return frame._replace(data=frame.data[:-1]) if step.spoilt == "length" else frame
+
+    def deadline(self) -> None:
+        now_ns, due_ns = self.now_ns, self.core.next_deadline_ns
+        output = self.call(lambda core: core.on_deadline(now_ns))
+        assert output.frames.count(SYNC) == 1
+        # The next one lies on the same grid, ahead, and at most a period away from the present or the due.
+        assert (self.core.next_deadline_ns - due_ns) % PERIOD_NS == 0
+        assert max(now_ns, due_ns) < self.core.next_deadline_ns <= max(now_ns, due_ns) + PERIOD_NS
+        if self.core.state is State.RUNNING:
+            assert commands(output) == []
+        else:
+            assert len(commands(output)) == 1 + any(event.severity == 50 for event in output.events)
+
+    def receive(self, frame: Frame) -> None:
+        now_ns = self.now_ns
+        before = self.core.state
+        output = self.call(lambda core: core.receive(frame, now_ns))
+        if before is State.RUNNING and self.core.state is State.RUNNING and commands(output):
+            assert frame.id == codec.TPDO1_ADC
+            assert output.cycle is not None and output.cycle.fresh
+
+    def operate(self, trigger: Trigger) -> None:
+        now_ns = self.now_ns
+        self.call(lambda core: core.operate(trigger, now_ns), operated=trigger)
+
+    def call(self, call: Callable[[Gateway], Output], operated: Trigger | None = None) -> Output:
+        before = self.core.state
+        output = call(self.core)
+        self.calls.append((call, output))
+        self.check_life_cycle(before, output, operated)
+        for frame in output.frames:
+            if frame.id == codec.RPDO1_DAC:
+                self.check_command(frame)
+        return output
+
+    def check_life_cycle(self, before: State, output: Output, operated: Trigger | None) -> None:
+        """Every change is in the table and told; only an operator arms, starts and resets."""
+        state = before
+        for event in output.events:
+            if event.source != "life cycle" or "->" not in event.text:
+                continue
+            told_before, _, rest = event.text.partition(" -> ")
+            told_after, _, told_trigger = rest.partition(" (")
+            trigger = Trigger(told_trigger.rstrip(")"))
+            assert state.name.lower() == told_before
+            state = TRANSITIONS[state, trigger]
+            assert state.name.lower() == told_after
+            if trigger in (Trigger.ARM, Trigger.START, Trigger.RESET, Trigger.STOP, Trigger.DISARM):
+                assert trigger is operated
+        assert state is self.core.state
+        assert (self.core.fault_reason is not None) == (state is State.FAULT)
+
+    def check_command(self, frame: Frame) -> None:
+        """Within the limits, at the rate, centred unless running, counted, protected."""
+        assert not (frame.is_extended or frame.is_remote or frame.is_error)
+        assert len(frame.data) == (8 if self.rig.dac.protected else 6)
+        volts = list(commands(Output((frame,)))[0])
+        for name, axis in self.rig.axes.items():
+            valve, sent = axis.valve, volts[axis.valve.channel - 1]
+            volts[valve.channel - 1] = 5.0
+            assert valve.min_v <= sent <= valve.max_v
+            is_centred = abs(sent - valve.centre_v) <= COUNT_V / 2
+            assert is_centred or self.core.state is State.RUNNING
+            step = abs(sent - self.sent_v[name])
+            assert is_centred or step <= valve.max_rate_v_s * self.rig.loop.period_s + COUNT_V
+            self.sent_v[name] = sent
+        assert volts == [5.0, 5.0, 5.0]  # what no axis uses
+        if self.rig.dac.protected:
+            assert frame.data[6] == self.rpdo_counter & 0xFF
+            assert frame.data[7] == crc8_j1850(frame.data[:7])
+        self.rpdo_counter += 1
+
+
+@given(st.sampled_from(RIGS), st.sampled_from(LAWS), st.lists(steps, min_size=12, max_size=60))
+@settings(max_examples=250, deadline=None)
+def test_whatever_comes_the_valves_are_safe_and_the_answers_are_the_same(
+    rig: Rig, law: Law, sequence: Sequence[Step]
+) -> None:
+    subject = Subject(rig, law)
+    for step in sequence:
+        subject.take(step)
+    again = make_gateway(rig, law, "ladder:0.1,-0.1@0/0.05")
+    for call, output in subject.calls:
+        assert repr(call(again)) == repr(output)  # as text: a signal may be NaN
+
+
+tampering = st.lists(
+    st.sampled_from(["pass"] * 12 + ["lose", "corrupt", "double", "swap"]), min_size=20, max_size=200
+)
+board_faults: st.SearchStrategy[AdcFaults | DacFaults] = st.one_of(
+    st.builds(AdcFaults, hung=st.just(True)),
+    st.builds(AdcFaults, samples_to_lose=st.integers(1, 5), crcs_to_corrupt=st.integers(0, 5)),
+    st.builds(AdcFaults, frozen_v=st.just({1: 10.0})),
+    st.builds(DacFaults, hung=st.just(True)),
+    st.builds(DacFaults, silent_heartbeat=st.just(True)),
+    st.builds(DacFaults, emergency_code=st.just(0x1000)),
+)
+
+
+@given(st.sampled_from(RIGS), tampering, st.none() | st.tuples(st.integers(0, 30), board_faults))
+@settings(max_examples=60, deadline=None)
+def test_on_a_bus_that_loses_spoils_and_swaps_frames_the_valves_are_safe(
+    rig: Rig, what: list[str], breakage: tuple[int, AdcFaults | DacFaults] | None
+) -> None:
+    """With the simulated boards: their pins stay within limits, and are centred once the gateway faults."""
+    bench = Bench(rig, LAWS[0], "ladder:0.1,-0.1@0/0.05").run()
+    verdicts = iter(what * 20)
+    held: list[Frame] = []
+
+    def tamper(frame: Frame) -> list[Frame]:
+        released, held[:] = list(held), []
+        match next(verdicts, "pass"):
+            case "lose":
+                return released
+            case "corrupt" if frame.data:
+                return [*released, frame._replace(data=bytes((frame.data[0] ^ 0x41, *frame.data[1:])))]
+            case "double":
+                return [*released, frame, frame]
+            case "swap":
+                held.append(frame)
+                return released
+        return [*released, frame]
+
+    bench.pass_to_gateway = tamper
+    in_fault = 0
+    for number in range(60):
+        if breakage is not None and number == breakage[0]:
+            fault = copy.deepcopy(breakage[1])
+            board = bench.boards.adc if isinstance(fault, AdcFaults) else bench.boards.dac
+            board.faults = fault  # type: ignore[assignment]
+        bench.period()
+        in_fault = in_fault + 1 if bench.gateway.state is State.FAULT else 0
+        for axis in rig.axes.values():
+            pin_v = bench.boards.dac.valve_v[axis.valve.channel - 1]
+            assert axis.valve.min_v - 0.01 <= pin_v <= axis.valve.max_v  # the converter's 12 bits
+            is_hung = bench.boards.dac.faults is not None and bench.boards.dac.faults.hung
+            if in_fault > 1 and not is_hung:
+                assert abs(pin_v - axis.valve.centre_v) < 0.01
