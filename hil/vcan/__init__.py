@@ -34,9 +34,9 @@ def main(argv: list[str]) -> int:
     parser = argparse.ArgumentParser(
         prog="hil vcan",
         usage="hil vcan -- COMMAND [ARGUMENT…]",
-        description="Run a command where the CAN interface vcan0 exists, and exit as it does. It sees this "
-        "host's files, environment and directory. Where this kernel has no vcan it runs in user-mode Linux: "
-        "as root, with the loopback network alone, without standard input.",
+        description="Run a command where the CAN interface vcan0 exists, and exit as it does. Where there is "
+        "none yet, it gets a network namespace with one; where this kernel has no vcan, user-mode Linux, in "
+        "which it is root and has no standard input. In both it has the loopback network alone.",
     )
     parser.add_argument("command", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     command = parser.parse_args(argv).command

@@ -107,7 +107,34 @@ class TestUdp(LinkContract, ErrorFramesToo):
         )
         assert (done.stdout, done.returncode) == ("05A#\n", 0), done.stderr
 
-    def test_hears_nothing_from_other_interfaces(self, pair: Pair, port: int) -> None:
+    def test_nothing_leaves_the_host_and_nothing_from_outside_is_heard(self) -> None:
+        """A second interface carries the default route and a python-can bus of the same group and port."""
+        network = (
+            "ip link set lo up && ip link add v0 type veth peer name v1 && ip link set v1 up && "
+            "ip address add 198.51.100.1/24 dev v0 && ip link set v0 up && ip route add default dev v0"
+        )
+        program = (
+            "import can; from hil.links import open_link; from hil.frames import Frame\n"
+            "def sent(): return int(next(l for l in open('/proc/net/dev') if 'v0:' in l).split()[10])\n"
+            "outside = can.Bus(interface='udp_multicast', channel='239.74.163.2', port=43113)\n"
+            "before = sent()\n"
+            "with open_link('udp:43113') as one, open_link('udp:43113') as other:\n"
+            "    for _ in range(200): outside.send(can.Message(arbitration_id=0x666))\n"
+            "    seen_outside = sent() - before\n"
+            "    for _ in range(200): one.send(Frame(0x5A))\n"
+            "    heard = [other.receive(1).frame.id for _ in range(200)]\n"
+            "    left = sent() - before - seen_outside\n"
+            "    print(set(heard), other.receive(0), seen_outside >= 200, left < 50)\n"
+            "outside.shutdown()\n"
+        )
+        done = subprocess.run(
+            ["unshare", "-rn", "sh", "-c", f'{network} && exec "$@"', "-", sys.executable, "-c", program],
+            capture_output=True,
+            text=True,
+        )
+        assert (done.stdout, done.returncode) == ("{90} None True True\n", 0), done.stderr
+
+    def test_a_datagram_to_another_address_is_not_heard(self, pair: Pair, port: int) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as direct:
             direct.sendto(b"unicast", ("127.0.0.1", port))
         pair[0].send(Frame(0x42))
