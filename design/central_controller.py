@@ -114,8 +114,8 @@ def _problem(Gs: TransferFunction) -> _Problem:
     below = cos * d_mirrored_A - sin * n_mirrored_A
     below[:, i, i] += _NEARLY_ZERO
     above = sin * d_A + cos * n_A
-    R: ComplexArray = np.linalg.solve(below.transpose(0, 2, 1), above.transpose(0, 2, 1)).transpose(0, 2, 1)
-    return _Problem(n, roots, A, b, R, (n_A, n_mirrored_A, d_A, d_mirrored_A), scale)
+    R = np.linalg.solve(below.transpose(0, 2, 1), above.transpose(0, 2, 1)).transpose(0, 2, 1)
+    return _Problem(n, roots, A, b, R.astype(np.complex128), (n_A, n_mirrored_A, d_A, d_mirrored_A), scale)
 
 
 def _at_matrix(p: Array, A: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from support.random_systems import System, systems
+from support.random_systems import System, patient, systems
 
 from design import loop_shaping
 from design.central_controller import central_controllers, optimal_margins
@@ -26,7 +26,7 @@ def distinct(G: System) -> bool:
     return bool(np.abs(zeros[:, None] / (poles[None, :] + 1e-12) - 1.0).min() > 0.02)
 
 
-@settings(max_examples=65, deadline=None)
+@settings(patient, max_examples=65)
 @given(systems(**WELL_BEHAVED), st.floats(1.001, 2.0))
 def test_synthesis_is_never_worse_than_the_gamma_chosen(G: System, factor: float) -> None:
     assume(distinct(G))
@@ -37,7 +37,7 @@ def test_synthesis_is_never_worse_than_the_gamma_chosen(G: System, factor: float
     assert optimum[0] / factor * (1.0 - 1e-6) <= margin <= optimum[0] * (1.0 + 1e-6)
 
 
-@settings(max_examples=65, deadline=None)
+@settings(patient, max_examples=65)
 @given(systems(), systems(least_order=0, most_order=4))
 def test_no_controller_has_more_than_the_optimal_margin(G: System, K: System) -> None:
     assume(distinct(G))
@@ -45,7 +45,7 @@ def test_no_controller_has_more_than_the_optimal_margin(G: System, K: System) ->
     assert margin <= optimal_margins(G.polynomials)[0] * (1.0 + 1e-7)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(patient, max_examples=25)
 @given(systems(**WELL_BEHAVED))
 def test_the_optimal_margin_is_approached(G: System) -> None:
     assume(distinct(G))
@@ -54,7 +54,7 @@ def test_the_optimal_margin_is_approached(G: System) -> None:
     assert stability_margin(G.polynomials, K)[0] == pytest.approx(optimum[0], rel=2e-5)
 
 
-@settings(max_examples=45, deadline=None)
+@settings(patient, max_examples=45)
 @given(systems(most_order=5, least_damping=0.1))
 def test_the_batched_form_is_the_riccati_form(G: System) -> None:
     assume(distinct(G))
@@ -73,7 +73,7 @@ def test_the_batched_form_is_the_riccati_form(G: System) -> None:
     assert chordal.max() < 1e-4
 
 
-@settings(max_examples=25, deadline=None)
+@settings(patient, max_examples=25)
 @given(systems(most_order=6, least_damping=0.05), st.floats(0.05, 20.0))
 def test_coprime_factors_are_normalised_stable_and_make_the_plant(G: System, omega: float) -> None:
     assume(distinct(G))
@@ -85,7 +85,7 @@ def test_coprime_factors_are_normalised_stable_and_make_the_plant(G: System, ome
     assert abs(N - M * G.at(1j * omega)) < 1e-5
 
 
-@settings(max_examples=25, deadline=None)
+@settings(patient, max_examples=25)
 @given(systems(most_order=5, least_damping=0.05), st.integers(1, 3))
 def test_sampled_synthesis_keeps_its_promise_in_z(G: System, delay_samples: int) -> None:
     """A delay makes the plant's poles mirror its zeros; the promise is kept all the same."""
@@ -98,7 +98,7 @@ def test_sampled_synthesis_keeps_its_promise_in_z(G: System, delay_samples: int)
     assert stability_margin(plane, K)[0] >= optimum[0] / 1.1 * (1.0 - 1e-6)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(patient, max_examples=25)
 @given(systems(most_order=5, least_damping=0.05), systems(least_order=0, most_order=2))
 def test_sampled_margins_become_the_continuous_ones(G: System, K: System) -> None:
     margin, omega = (value[0] for value in margin_and_frequency(G.polynomials, K.polynomials))

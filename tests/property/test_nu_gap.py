@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from support.random_systems import System, systems
+from support.random_systems import System, patient, systems
 
 from design.central_controller import central_controllers
 from design.margins import stability_margin
@@ -14,7 +14,7 @@ from design.nu_gap import chordal_distance, nu_gap
 from design.plant import Sampling, TransferFunction, delayed, zero_order_hold
 
 small_systems = systems(most_order=4, least_damping=0.01)
-quick = settings(max_examples=50, deadline=None)
+quick = settings(patient, max_examples=50)
 
 
 def gap(G1: System, G2: System) -> float:
@@ -60,7 +60,7 @@ def neighbours(draw: st.DrawFn) -> tuple[TransferFunction, TransferFunction]:
     return G, TransferFunction(num, den)
 
 
-@settings(max_examples=90, deadline=None)
+@settings(patient, max_examples=90)
 @given(neighbours())
 def test_a_margin_over_the_gap_stabilises_the_other_plant(
     pair: tuple[TransferFunction, TransferFunction],
@@ -75,7 +75,7 @@ def test_a_margin_over_the_gap_stabilises_the_other_plant(
     assert stability_margin(other, K)[0] >= left * (1.0 - 1e-6) - 1e-9
 
 
-@settings(max_examples=25, deadline=None)
+@settings(patient, max_examples=25)
 @given(small_systems, small_systems)
 def test_the_sampled_gap_becomes_the_continuous_one(G1: System, G2: System) -> None:
     pair = [G.polynomials for G in (G1, G2)]

@@ -9,10 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import slycot
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from design.plant import TransferFunction
+
+patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
+"""Random loops are often unstable, and then are no example; nor does a busy machine make a test fail."""
 
 Array = NDArray[np.float64]
 Blocks = tuple[Array, Array, Array, Array]
