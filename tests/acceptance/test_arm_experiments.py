@@ -95,7 +95,8 @@ def test_the_whole_chain_identifies_equation_15(tmp_path: Path) -> None:
         "format": "hil-controller", "version": 1, "name": "open loop", "description": "u = 4 V/m r",
         "sample_time_s": PERIOD_S, "input_unit": "m", "output_unit": "V", "origin": {},
         "law": {
-            "kind": "state_space", "inputs": "r, y", "A": [], "B": [], "C": [[]], "D": [[volts_per_metre, 0.0]],
+            "kind": "state_space", "inputs": "r, y",
+            "A": [], "B": [], "C": [[]], "D": [[volts_per_metre, 0.0]],
         },
     }  # fmt: skip
     (tmp_path / "open.json").write_text(json.dumps(open_loop))
