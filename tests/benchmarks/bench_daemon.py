@@ -1,4 +1,4 @@
-"""The daemon's speed: codec against cantools, lockstep against real time, punctuality against python-can."""
+"""The daemon's speed: codec against cantools, lockstep against real time, punctuality against python-can.
 
 Every ratio is of figures measured in this same run; the machine's load is in both.
 """
