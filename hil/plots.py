@@ -62,7 +62,7 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
     if faults:
         figure.suptitle(_fault_text(faults[0][1]), color=VERMILION, fontsize=10)
     elif title:
-        figure.suptitle(title, fontsize=10)
+        figure.suptitle(title, fontsize=10, wrap=True)
     try:
         figure.savefig(path, format="png")
     except OSError as error:

@@ -240,7 +240,7 @@ def test_without_the_right_to_a_priority_it_runs_all_the_same(
 
     ran = []
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    monkeypatch.setattr(cli, "simulate", lambda rig, bus: ran.append(rig))
+    monkeypatch.setattr(cli, "simulate", lambda rig, *_: ran.append(rig))
     assert cli.main(["--bus", "inproc:no right"]) == 0
     assert len(ran) == 1
 
@@ -252,7 +252,7 @@ def test_the_rig_file_sets_the_boards_up(
     shipped = (Path(cli.__file__).parents[1] / "hil" / "rig.toml").read_text()
     path.write_text(shipped.replace("watchdog_periods = 8", "watchdog_periods = 7"))
     seen = []
-    monkeypatch.setattr(cli, "simulate", lambda rig, bus: seen.append(rig))
+    monkeypatch.setattr(cli, "simulate", lambda rig, *_: seen.append(rig))
     assert cli.main(["--bus", "inproc:set up", "--rig", str(path)]) == 0
     assert seen[0].dac._watchdog_ns == 7 * 11_200_000
 
