@@ -59,5 +59,8 @@ def _find(name: str) -> Callable[[list[str]], int] | None:
 def _usage() -> str:
     lines = ["usage: hil COMMAND [OPTION…]; `hil COMMAND --help` says more", ""]
     lines += [f"  {name:8} {text}" for name, (_, text) in COMMANDS.items()]
-    lines += [f"  {entry.name:8} (from {entry.module})" for entry in entry_points(group=PLUGINS)]
+    lines += [
+        f"  {entry.name:8} `hil {entry.name} --help` (package {entry.module.partition('.')[0]})"
+        for entry in entry_points(group=PLUGINS)
+    ]
     return "\n".join(lines) + "\n"

@@ -35,7 +35,9 @@ def main(argv: list[str]) -> int:
     setup = _setup(options, scenario, scenario_text)
     bus = options.bus or setup.rig.bus.channel
     if bus != SIMULATED and (options.arm or options.linear):
-        raise DocumentError(f"--arm and --linear choose what `hil run` simulates; --bus {bus} is no simulation")
+        raise DocumentError(
+            f"--arm and --linear choose what `hil run` simulates; --bus {bus} is no simulation"
+        )
     if bus != SIMULATED and scenario is not None and scenario.events:
         sys.stderr.write("The scenario's events are the simulated arm's: firmware-sim --scenario has them.\n")
     duration_s = options.duration or (scenario.duration_s if scenario else DEFAULT_DURATION_S)
@@ -149,9 +151,12 @@ def _by_axis(given: list[str]) -> dict[str, str]:
 
 
 def _seconds(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"{text} is not a number of seconds over 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds over 0")
     return value
 
 
