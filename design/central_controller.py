@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from design import polynomials as poly
+from design.loop_shaping import check_factor
 from design.peaks import Power
 from design.plant import TransferFunction
 from design.polynomials import Array, ComplexArray
@@ -52,6 +53,7 @@ def optimal_margins(Gs: TransferFunction) -> Array:
 
 def central_controllers(Gs: TransferFunction, factor: float = 1.1) -> tuple[TransferFunction, Array]:
     """K∞ (B, N + 1) of eq. (6) for γ = factor γ_opt, and ε_opt (B,). Negative feedback, factor > 1."""
+    check_factor(factor)
     problem = _problem(Gs)
     n, roots, A, b, R, (n_A, n_mirrored_A, d_A, d_mirrored_A), scale = problem
     margins = _margins(R)

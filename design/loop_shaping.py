@@ -64,10 +64,15 @@ def normalised_left_coprime_factors(Gs: StateSpace) -> StateSpace:
     return StateSpace(A + H @ C, np.hstack([B + H @ D, H]), root @ C, np.hstack([root @ D, root]))
 
 
-def synthesise(Gs: TransferFunction, factor: float = 1.1) -> LoopShaping:
-    """K∞ of eq. (6) for γ = factor γ_opt; factor must be over 1 (at 1 the formulas divide by zero)."""
+def check_factor(factor: float) -> None:
+    """Refuse γ = factor γ_opt unless it is over γ_opt. Raises DesignError."""
     if not factor > 1.0:
         raise DesignError(f"gamma must be over gamma_opt: factor {factor} is not over 1")
+
+
+def synthesise(Gs: TransferFunction, factor: float = 1.1) -> LoopShaping:
+    """K∞ of eq. (6) for γ = factor γ_opt; factor must be over 1 (at 1 the formulas divide by zero)."""
+    check_factor(factor)
     plant = realise(Gs)
     A, B, C, D = plant
     Z, X = riccati_solutions(plant)

@@ -115,7 +115,8 @@ class Loops:
         """Time (B,) from 10 % to 90 % of the final value; ∞ if not within the horizon."""
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = self.response.y / self.final_value[:, None]
-            return self._first_above(relative, 0.9) - self._first_above(relative, 0.1)
+            high, low = self._first_above(relative, 0.9), self._first_above(relative, 0.1)
+            return np.where(np.isfinite(high), high - low, np.inf)
 
     def _first_above(self, relative: Array, level: float) -> Array:
         reached = relative >= level

@@ -130,13 +130,12 @@ def zero_order_hold(G: TransferFunction, period_s: float) -> TransferFunction:
     step = period_s * scale
     phi = expm(block * step)[:n, n:]
     plus = 2.0 * np.eye(n) + A @ phi
-    try:
-        inverse = np.linalg.inv(plus)
-    except np.linalg.LinAlgError:
+    if np.linalg.norm(plus, -2) < 1e-12:
         raise DesignError(
             f"the plant has an undamped mode at half the sampling frequency ({np.pi / period_s:.4g} rad/s): "
             "a loop of this period cannot see it"
-        ) from None
+        )
+    inverse = np.linalg.inv(plus)
     A_w = 2.0 / step * A @ phi @ inverse
     B_w, C_w = phi @ B, 2.0 / step * C @ inverse
     den_w = poly.from_roots(np.tanh(0.5 * step * poles / scale) * (2.0 / step + 0j)).real

@@ -1,0 +1,29 @@
+"""The paper's loop, as design tests use it."""
+
+import numpy as np
+
+from design.plant import TransferFunction, paper_plant
+from design.structures import STRUCTURES, Controller
+
+PERIOD_S = 0.0112
+G0 = paper_plant().transfer_function()
+W1 = TransferFunction(np.array([15.535, 6.83]), np.array([1.0, 0.001]))
+"""Eq. (16)."""
+HLS = TransferFunction(
+    np.array([372.3, 6714.0, 67960.0, 55790.0, 11950.0]),
+    np.array([1.0, 40.0, 701.3, 6310.0, 2648.0, 2.641]),
+)
+"""Eq. (18)."""
+PPID = (11.013, 5.6444, 38.639, 74.162)
+"""Eq. (20)."""
+BEST_PID = (11.3616, 5.0530, 0.27015, 0.026717)
+BEST_PI = (10.763, 4.7136)
+
+
+def pid(*values: float) -> Controller:
+    """Eq. (19)."""
+    return STRUCTURES["pid"].controller(np.array([values]))
+
+
+def pi(*values: float) -> Controller:
+    return STRUCTURES["pi"].controller(np.array([values]))
