@@ -30,10 +30,6 @@ class ReplayMismatchError(HilError):
     """A replayed core did not send the bytes that were recorded."""
 
 
-class RigUnavailableError(HilError):
-    """The boards did not come up, or the gateway faulted; the run ended early."""
-
-
 class EnvironmentLackError(HilError):
     """The machine lacks something that a command needs (a kernel module, a right, a program)."""
 
