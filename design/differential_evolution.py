@@ -48,6 +48,10 @@ class DifferentialEvolution:
         self._trials = (self._mixtures() if started else self._points)[: self._left]
         return self._trials
 
+    def worth(self) -> Array:
+        """See Searcher: a mixture replaces its point only if it is no worse."""
+        return self._fitness[: len(self._trials)]
+
     def tell(self, fitness: Array) -> None:
         """See Searcher."""
         self._left -= len(fitness)

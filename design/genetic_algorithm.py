@@ -42,6 +42,10 @@ class GeneticAlgorithm:
         """See Searcher."""
         return np.asarray(self._genes.reshape(-1, *self._shape) @ self._weights)
 
+    def worth(self) -> Array:
+        """See Searcher: the wheel turns on every fitness."""
+        return np.full(len(self._genes), -np.inf)
+
     def tell(self, fitness: Array) -> None:
         """See Searcher."""
         self._generations_left -= 1

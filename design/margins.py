@@ -32,16 +32,19 @@ def stabilises(G: TransferFunction, K: TransferFunction) -> Flags:
     return poly.hurwitz(np.atleast_2d(characteristic(G, K)))
 
 
-def stability_margin(G: TransferFunction, K: TransferFunction, W: TransferFunction = UNIT) -> Array:
+def stability_margin(
+    G: TransferFunction, K: TransferFunction, W: TransferFunction = UNIT, worth: Array | None = None
+) -> Array:
     """ε (B,) of controllers K (B, n) on plant G with weight W1 = W; 0 where the loop is not stable.
 
-    W must be stable and minimum phase. Exact to rounding: 1e-10 or better, whatever the damping.
+    W must be stable and minimum phase. Exact to rounding: 1e-10 or better, whatever the damping. Where ε is
+    below ``worth`` (B,), some value below it is returned, and sooner.
     """
-    return margin_and_frequency(G, K, W)[0]
+    return margin_and_frequency(G, K, W, worth)[0]
 
 
 def margin_and_frequency(
-    G: TransferFunction, K: TransferFunction, W: TransferFunction = UNIT
+    G: TransferFunction, K: TransferFunction, W: TransferFunction = UNIT, worth: Array | None = None
 ) -> tuple[Array, Array]:
     """ε (B,) as :func:`stability_margin`, and the ω (B,) in rad/s where it is lost; NaN where unstable."""
     G, K, W = (TransferFunction(np.atleast_2d(H.num), np.atleast_2d(H.den)) for H in (G, K, W))
@@ -56,6 +59,7 @@ def margin_and_frequency(
                 Power(poly.multiply(Gd, Wd), poly.multiply(Gn, Wn)),
             ],
             below=[Power(poly.multiply(Wn, Wd)), Power(closed)],
+            enough=None if worth is None else 1.0 / np.maximum(worth[stable], 1e-9) ** 2,
         )
         margin[stable] = np.where(gamma_squared > 0.0, 1.0 / np.sqrt(gamma_squared), 0.0)
     return margin, omega

@@ -53,10 +53,13 @@ class PowerOf(Power):
         return np.asarray(poly.at(self.coefficients, omega * omega))
 
 
-def peak(above: Sequence[Power], below: Sequence[Power]) -> tuple[Array, Array]:
+def peak(
+    above: Sequence[Power], below: Sequence[Power], enough: Array | None = None
+) -> tuple[Array, Array]:
     """Supremum (B,) over 0 <= ω <= ∞ of Π above / Π below, and the ω (B,) in rad/s where it is taken.
 
-    ∞ where a pole lies on the axis. The place may be 0 or ∞.
+    ∞ where a pole lies on the axis. The place may be 0 or ∞. Where the peak is over ``enough`` (B,), some
+    value over it is returned.
     """
     N = poly.multiply(*(factor.coefficients for factor in above))
     D = poly.multiply(*(factor.coefficients for factor in below))
@@ -68,7 +71,8 @@ def peak(above: Sequence[Power], below: Sequence[Power]) -> tuple[Array, Array]:
         ends = best.copy()
         _improve(best, place, _bends(pair), pair)
         _climb(best, place, pair)
-        active = np.flatnonzero(np.isfinite(best))
+        enough = np.full(len(best), np.inf) if enough is None else enough
+        active = np.flatnonzero(best < enough)
         for _ in range(_MOST_ROUNDS):
             if not len(active):
                 break
@@ -79,7 +83,7 @@ def peak(above: Sequence[Power], below: Sequence[Power]) -> tuple[Array, Array]:
             if higher.any():
                 _climb(b, p, some)
                 best[active], place[active] = b, p
-            active = active[higher & np.isfinite(b)]
+            active = active[higher & (b < enough[active])]
         inside = np.isfinite(place) & (place > 0.0) & np.isfinite(best)
         omega = np.sqrt(place)
         inner = np.where(inside, omega, 1.0)[:, None]

@@ -14,8 +14,9 @@ import numpy as np
 
 from design.polynomials import Array
 
-Objective = Callable[[Array], Array]
-"""Fitness (n,) of points (n, p) of the unit cube."""
+Objective = Callable[[Array, Array], Array]
+"""Fitness (n,) of points (n, p) of the unit cube, given what each must reach to be of any use (n,): where it
+does not, any value below that will do."""
 
 
 class Searcher(Protocol):
@@ -26,6 +27,10 @@ class Searcher(Protocol):
 
     def ask(self) -> Array:
         """The next points (n, p) of the unit cube to be judged."""
+        ...
+
+    def worth(self) -> Array:
+        """The fitness (n,) below which the points last asked for are discarded, whatever theirs is."""
         ...
 
     def tell(self, fitness: Array) -> None:
@@ -72,7 +77,7 @@ def maximise(
     convergence: list[Progress] = []
     while (stopped := searcher.stop()) is None:
         points = searcher.ask()
-        fitness = objective(points)
+        fitness = objective(points, searcher.worth())
         searcher.tell(fitness)
         evaluations += len(points)
         chosen = int(np.argmax(fitness))

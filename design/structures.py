@@ -22,6 +22,10 @@ from hil.controller_file import StateSpace as StateSpaceLaw
 from hil.controller_file import TransferFunction as TransferFunctionLaw
 
 
+_AT_A_WALL = 1e-3
+"""Of the box's width, as coded."""
+
+
 class Controller(NamedTuple):
     """u = (num_r r - num y)/den, arrays (..., n + 1) in falling powers of s.
 
@@ -95,6 +99,11 @@ class Box:
             np.log(safe / np.where(logarithmic, low, 1.0)) / np.log(ratio),
             (values - low) / (high - low),
         )
+
+    def at_walls(self, unit: Array) -> tuple[str, ...]:
+        """Names of the parameters that a point (p,) of the unit cube has at an end of their box."""
+        near = np.minimum(unit, 1.0 - unit) < _AT_A_WALL
+        return tuple(name for name, touching in zip(self.names, near, strict=True) if touching)
 
     def _limits(self) -> tuple[Array, Array, poly.Flags]:
         low = np.array([parameter.low for parameter in self.parameters])

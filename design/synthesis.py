@@ -47,6 +47,8 @@ class Synthesis:
     """The best that any controller could reach with this weight; over several plants, the smallest."""
     weight: TransferFunction
     readings: tuple[Reading, ...]
+    at_walls: tuple[str, ...]
+    """Parameters that ended at an end of their box: a wider one may allow more."""
     sampling: Sampling | None
     search: SearchResult
 
@@ -77,11 +79,11 @@ def synthesise(
         K = structure.controller(box.decode(points))
         return Loops(G, K, W=weight, sampling=sampling, horizon_s=horizon_s)
 
-    def objective(points: Array) -> Array:
+    def objective(points: Array, worth: Array) -> Array:
         K = structure.controller(box.decode(points))
         fitness = np.full(len(points), np.inf)
         for G in models:
-            margin = margins.stability_margin(G, K.feedback, weight)
+            margin = margins.stability_margin(G, K.feedback, weight, worth)
             unstable = margin == 0.0
             if unstable.any():
                 closed = np.atleast_2d(margins.characteristic(G, K.feedback))[unstable]
@@ -117,6 +119,7 @@ def synthesise(
         eps_opt=min(float(optimal_margins(shaped(G, weight))[0]) for G in models),
         weight=weight,
         readings=read,
+        at_walls=box.at_walls(search.best),
         sampling=sampling,
         search=search,
     )
