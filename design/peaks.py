@@ -53,9 +53,7 @@ class PowerOf(Power):
         return np.asarray(poly.at(self.coefficients, omega * omega))
 
 
-def peak(
-    above: Sequence[Power], below: Sequence[Power], enough: Array | None = None
-) -> tuple[Array, Array]:
+def peak(above: Sequence[Power], below: Sequence[Power], enough: Array | None = None) -> tuple[Array, Array]:
     """Supremum (B,) over 0 <= ω <= ∞ of Π above / Π below, and the ω (B,) in rad/s where it is taken.
 
     ∞ where a pole lies on the axis. The place may be 0 or ∞. Where the peak is over ``enough`` (B,), some

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from design.matrix_exponential import exponential
 from design.plant import Sampling, TransferFunction
 from design.polynomials import Array
 from design.realisation import StateSpace, observer_form, sampled
@@ -35,7 +36,7 @@ def step_responses(
     M = np.zeros((len(A), n + 1, n + 1))
     M[:, :n, :n], M[:, :n, n:] = A, B
     if sampling is None:
-        M = _exponential(M * step_s)
+        M = exponential(M * step_s)
     else:
         M[:, n, n] = 1.0
     rows = np.concatenate([C, D], axis=-1)
@@ -71,30 +72,6 @@ def _closed_loop(G: TransferFunction, K: Controller) -> StateSpace:
     rows[:, ng:, n] += Bk[:, :, 0]
     outputs = np.concatenate([Y, U], axis=1)
     return StateSpace(rows[:, :, :n], rows[:, :, n:], outputs[:, :, :n], outputs[:, :, n:])
-
-
-def _exponential(M: Array) -> Array:
-    """exp(M) by scaling, a Taylor polynomial of degree 12 (Paterson-Stockmeyer), and squaring."""
-    size = float(np.abs(M).sum(axis=-1).max(initial=0.0))
-    squarings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / 0.5))))
-    X = M / 2.0**squarings
-    eye = np.eye(M.shape[-1])
-    X2 = X @ X
-    X3 = X2 @ X
-    result = np.zeros_like(M)
-    for i in (9, 6, 3, 0):
-        f = [1.0 / _factorial(i + j) for j in range(4)]
-        block = f[0] * eye + f[1] * X + f[2] * X2
-        if i == 9:
-            block = block + f[3] * X3
-        result = result @ X3 + block
-    for _ in range(squarings):
-        result = result @ result
-    return np.asarray(result)
-
-
-def _factorial(n: int) -> float:
-    return float(np.prod(np.arange(1.0, n + 1.0)))
 
 
 def _powers(rows: Array, M: Array, samples: int) -> Array:

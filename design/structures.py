@@ -21,7 +21,6 @@ from hil.controller_file import Law, Pid
 from hil.controller_file import StateSpace as StateSpaceLaw
 from hil.controller_file import TransferFunction as TransferFunctionLaw
 
-
 _AT_A_WALL = 1e-3
 """Of the box's width, as coded."""
 
