@@ -71,7 +71,7 @@ class LinkContract:
         at_once = time.monotonic()
         assert receiver.receive(0.05) is None
         end = time.monotonic()
-        assert at_once - start < 0.05
+        assert at_once - start < 0.5
         assert 0.05 <= end - at_once < 0.5
 
     def test_receive_wakes_when_a_frame_arrives(self, pair: Pair) -> None:
