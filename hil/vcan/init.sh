@@ -30,6 +30,7 @@ stty raw -echo rows "$rows" columns "$columns" <&4
         read -r group </run/group
         kill -s "$signal" -- "-$group"
     done </dev/tty3
+    rm -r "$job"
     echo o >/proc/sysrq-trigger
 } &
 control=$!
