@@ -275,8 +275,8 @@ def test_paper_is_reproduced(here: Path, capsys: pytest.CaptureFixture[str]) -> 
 def test_paper_that_does_not_reproduce_is_exit_status_1(
     here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    done = reproduction()  # kept for all tests, so before the claim is changed
     monkeypatch.setattr(paper_claims, "PPID_EPS", 0.56)
-    done = reproduction()
     judged = replace(done, verdicts=paper_claims.judge(done.evidence))
     monkeypatch.setattr(paper, "reproduce", lambda _on_progress: judged)
     assert main(["design", "--paper"]) == 1
