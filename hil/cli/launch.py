@@ -152,7 +152,7 @@ def _stop_on_signals() -> StopRequest:
 
 def _free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
+        probe.bind(("", 0))  # on every address, so that no other rig has it
         return int(probe.getsockname()[1])
 
 
