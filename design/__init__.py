@@ -24,7 +24,9 @@ nu_gap                 chordal distance, Vinnicombe's ν-gap
 loop_shaping           Appendices A and B, McFarlane-Glover synthesis by Riccati equations, one plant
 central_controller     the same, batched, by interpolation
 structures             controller and weight structures, boxes, codings, and the laws they become
-responses, loops       batched step responses; everything that can be read off a batch of loops
+realisation            state space and polynomials, s (bilinear plane) and z, back and forth
+verification           the law as the daemon realises it, back as polynomials: what is verified runs
+responses, loops       batched step responses (``matrix_exponential``); all that can be read off loops
 specifications         eqs. (8), (9): limits on readings, each with its name and its violation
 search                 ask, tell, stop, and recorded convergence; ``differential_evolution`` (the
                        default) and ``genetic_algorithm`` (the paper's) are searchers

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from design import polynomials as poly
-from design.central_controller import central_controllers, optimal_margins
+from design.central_controller import central_controllers
 from design.differential_evolution import DifferentialEvolution
 from design.errors import InfeasibleError
 from design.loop_shaping import shaped
@@ -82,18 +82,13 @@ def select_weight(
         batch = Loops(G, of_error(num, den), W=W, sampling=sampling, horizon_s=horizon_s, desired=Gs)
         return batch, eps_opt
 
-    def objective(points: Array, worth: Array) -> Array:
-        values = box.decode(points)
+    def objective(points: Array, _worth: Array) -> Array:
+        W = structure.controller(box.decode(points)).feedback
         fitness = np.full(len(points), np.inf)
         for G in models:
-            eps_opt = optimal_margins(shaped(G, structure.controller(values).feedback))
-            fitness = np.minimum(fitness, eps_opt)
-            # No loop can make up for an ε_opt that is not worth it.
-            left = np.flatnonzero(fitness >= worth)
-            if len(left):
-                batch, _ = loops(G, structure.controller(values[left]).feedback)
-                failing = violations(specifications, batch)
-                fitness[left] = np.where(failing > 0.0, np.minimum(-failing, fitness[left]), fitness[left])
+            batch, eps_opt = loops(G, W)
+            failing = violations(specifications, batch)
+            fitness = np.minimum(fitness, np.where(failing > 0.0, -failing, eps_opt))
         return fitness
 
     searcher = searcher or DifferentialEvolution(len(box), seed=seed, evaluations=evaluations)
