@@ -11,7 +11,8 @@ import numpy as np
 
 from design.polynomials import Array
 
-_CONVERGED = 1e-10
+_CONVERGED = 1e-8
+"""Width of the population; fitness says nothing where all fail alike."""
 
 
 class DifferentialEvolution:
@@ -64,8 +65,7 @@ class DifferentialEvolution:
         """See Searcher."""
         if self._left <= 0:
             return "evaluations used"
-        worst, best = self._fitness.min(), self._fitness.max()
-        return "converged" if np.isfinite(worst) and best - worst <= _CONVERGED * abs(best) else None
+        return "converged" if np.ptp(self._points, axis=0).max() < _CONVERGED else None
 
     def _mixtures(self) -> Array:
         points, random = self._points, self._random

@@ -14,19 +14,29 @@ _LARGEST = 0.5
 
 
 def exponential(M: Array) -> Array:
-    """exp(M) of M (..., n, n), by scaling, a Taylor polynomial (Paterson and Stockmeyer's), and squaring."""
-    norm = float(np.abs(M).sum(axis=-1).max(initial=0.0))
-    squarings = max(0, int(np.ceil(np.log2(max(norm, _LARGEST) / _LARGEST))))
-    X = M / 2.0**squarings
+    """exp(M) of M (B, n, n), by scaling, a Taylor polynomial (Paterson and Stockmeyer's), and squaring.
+
+    What is squared is exp - 1, so that slow modes keep their digits beside fast ones; each matrix as often
+    as it needs, so that none depends on its neighbours.
+    """
+    norms = np.abs(M).sum(axis=-1).max(axis=-1, initial=0.0)
+    squarings = np.ceil(np.log2(np.maximum(norms, _LARGEST) / _LARGEST)).astype(int)
+    X = M / 2.0 ** squarings[:, None, None]
     X2 = X @ X
     X3 = X2 @ X
     eye = np.eye(M.shape[-1])
-    result = _INVERSE_FACTORIALS[12] * X3
+    less_one = _INVERSE_FACTORIALS[12] * X3
     for i in (9, 6, 3, 0):
         zeroth, first, second = _INVERSE_FACTORIALS[i : i + 3]
-        result = result + zeroth * eye + first * X + second * X2
+        less_one = less_one + first * X + second * X2
         if i:
-            result = result @ X3
-    for _ in range(squarings):
-        result = result @ result
-    return np.asarray(result)
+            less_one = (less_one + zeroth * eye) @ X3
+    for k in range(int(squarings.max(initial=0))):
+        left = squarings > k
+        some = less_one if left.all() else less_one[left]
+        doubled = 2.0 * some + some @ some
+        if left.all():
+            less_one = doubled
+        else:
+            less_one[left] = doubled
+    return np.asarray(less_one + eye)

@@ -29,18 +29,21 @@ class StepResponses(NamedTuple):
 def step_responses(
     G: TransferFunction, K: Controller, sampling: Sampling | None, step_s: float, samples: int
 ) -> StepResponses:
-    """Responses of u = (num_r r - num y)/den on G, ``step_s`` apart: a sampled loop's period."""
-    loop = _closed_loop(G, K)
-    A, B, C, D = loop if sampling is None else sampled(loop, sampling.period_s)
-    n = A.shape[-1]
-    M = np.zeros((len(A), n + 1, n + 1))
-    M[:, :n, :n], M[:, :n, n:] = A, B
-    if sampling is None:
-        M = exponential(M * step_s)
-    else:
-        M[:, n, n] = 1.0
-    rows = np.concatenate([C, D], axis=-1)
-    outputs = _powers(rows, M, samples)
+    """Responses of u = (num_r r - num y)/den on G, ``step_s`` apart: a sampled loop's period.
+
+    Not finite where modes are too fast for the arithmetic.
+    """
+    with np.errstate(all="ignore"):
+        loop = _closed_loop(G, K)
+        A, B, C, D = loop if sampling is None else sampled(loop, sampling.period_s)
+        n = A.shape[-1]
+        M = np.zeros((len(A), n + 1, n + 1))
+        M[:, :n, :n], M[:, :n, n:] = A, B
+        if sampling is None:
+            M = exponential(M * step_s)
+        else:
+            M[:, n, n] = 1.0
+        outputs = _powers(np.concatenate([C, D], axis=-1), M, samples)
     return StepResponses(step_s * np.arange(float(samples)), outputs[:, 0], outputs[:, 1])
 
 

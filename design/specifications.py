@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from design import margins
+from design.errors import DesignError
 from design.loops import Loops
 from design.polynomials import Array
 
@@ -101,6 +102,14 @@ class Specification:
     limit: float
     at: float = 1.0
 
+    def __post_init__(self) -> None:
+        if self.quantity not in QUANTITIES:
+            raise DesignError(f"specification {self.quantity!r}: there are " + ", ".join(QUANTITIES))
+        if not self.limit > 0.0 and self.kind.unit != "dB":
+            raise DesignError(
+                f"specification {self.quantity}: limit {self.limit} {self.kind.unit}: not over 0"
+            )
+
     @property
     def kind(self) -> Quantity:
         """What is read."""
@@ -171,8 +180,13 @@ def compromise(what: str, parameters: Mapping[str, float], read: Sequence[Readin
 
 def response_horizon_s(specifications: Sequence[Specification]) -> float:
     """How long steps must be followed to read the specifications off them."""
-    limits = [s.limit for s in specifications if s.quantity in ("settling_s", "rise_s")]
-    return 5.0 * max(limits, default=1.2)
+    horizons = {
+        "settling_s": lambda limit: 5.0 * limit,
+        "rise_s": lambda limit: 15.0 * limit,
+        "bandwidth_rad_s": lambda limit: 24.0 / limit,
+        "closed_bandwidth_rad_s": lambda limit: 24.0 / limit,
+    }
+    return max((horizons[s.quantity](s.limit) for s in specifications if s.quantity in horizons), default=6.0)
 
 
 PAPER = (

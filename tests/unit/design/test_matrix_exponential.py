@@ -19,7 +19,21 @@ def test_a_batch_is_scipys_one_by_one(size: float) -> None:
 
 
 def test_known_ones() -> None:
-    np.testing.assert_allclose(exponential(np.diag([0.0, -50.0])), np.diag([1.0, np.exp(-50.0)]), atol=1e-15)
-    np.testing.assert_allclose(exponential(np.array([[0.0, 1.0], [0.0, 0.0]])), [[1.0, 1.0], [0.0, 1.0]])
-    turn = exponential(np.array([[0.0, 7.0], [-7.0, 0.0]]))
+    stiff, shear, turn = (
+        exponential(np.array([M]))[0]
+        for M in ([[0.0, 0.0], [0.0, -50.0]], [[0.0, 1.0], [0.0, 0.0]], [[0.0, 7.0], [-7.0, 0.0]])
+    )
+    np.testing.assert_allclose(stiff, np.diag([1.0, np.exp(-50.0)]), atol=1e-15)
+    np.testing.assert_allclose(shear, [[1.0, 1.0], [0.0, 1.0]])
     np.testing.assert_allclose(turn, [[np.cos(7.0), np.sin(7.0)], [-np.sin(7.0), np.cos(7.0)]], atol=1e-13)
+
+
+def test_a_slow_mode_beside_a_very_fast_one() -> None:
+    slow = exponential(np.array([[[-1e-3, 0.0], [0.0, -1e7]]]))[0, 0, 0]
+    assert slow == pytest.approx(np.exp(-1e-3), rel=1e-14)
+
+
+def test_no_matrix_depends_on_its_neighbours() -> None:
+    calm, wild = np.array([[0.1, 0.2], [0.3, -0.4]]), np.array([[-900.0, 50.0], [7.0, -3000.0]])
+    together = exponential(np.stack([calm, wild]))
+    assert together[0].tolist() == exponential(calm[None])[0].tolist()

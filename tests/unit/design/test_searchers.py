@@ -64,8 +64,16 @@ def test_the_default_stops_when_its_points_agree() -> None:
     )
     assert result.stopped == "converged"
     assert result.evaluations < 20000
-    flat = maximise(lambda points, _: np.ones(len(points)), DifferentialEvolution(2, seed=1))
-    assert flat.evaluations == 40
+
+
+def test_the_default_does_not_give_up_where_all_fail_alike() -> None:
+    """A plateau with one small hill: nothing is known until somebody stands on it."""
+
+    def hill(points: Array, _worth: Array) -> Array:
+        return np.maximum(1.0 - 400.0 * ((points - 0.83) ** 2).sum(axis=1), 0.0)
+
+    found = [maximise(hill, DifferentialEvolution(2, seed=seed, evaluations=3000)) for seed in range(10)]
+    assert min(result.best_fitness for result in found) > 0.999
 
 
 def test_points_stay_in_the_cube_where_the_top_is_in_a_corner() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.paper_loop import BEST_PID, G0, HLS, PERIOD_S, PPID, W1, pid
 
+from design.errors import DesignError
 from design.loop_shaping import shaped
 from design.loops import Loops
 from design.margins import gain_margins, phase_margin
@@ -73,6 +74,17 @@ def test_effort_is_that_of_the_step_asked_for() -> None:
     one, tenth = read("effort_v", loops, at=1.0), read("effort_v", loops, at=0.1)
     assert one == pytest.approx(kp + kd / tau_d)
     assert tenth == pytest.approx(0.1 * one)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "limit", "named"),
+    [("overshot", 0.05, "overshoot, settling_s"), ("settling_s", 0.0, "limit 0.0 s: not over 0")],
+)
+def test_impossible_specifications_are_refused(quantity: str, limit: float, named: str) -> None:
+    with pytest.raises(DesignError, match=f"specification .?{quantity}") as refusal:
+        Specification(quantity, limit)
+    assert named in str(refusal.value)
+    Specification("gain_db", -3.0, at=10.0)
 
 
 def test_violations_are_relative_to_the_limit_and_add_up() -> None:
