@@ -166,7 +166,6 @@ class Gateway:
             self._run_began_ns = None
         elif trigger is Trigger.RESET:
             self.fault_reason = None
-            self._stale_periods = 0
             self._last_rejection = ""
             self._guard.forget()
         frames = (self._centre(),) if trigger is Trigger.STOP else ()
@@ -228,8 +227,6 @@ class Gateway:
 
     def _close_period(self, skipped: int, frames: list[Frame], events: list[Event]) -> Cycle | None:
         """Account for a period that ends without a good sample, and for deadlines that were missed."""
-        if self._number < 0:
-            return None
         cycle = None if self._has_sample else self._cycle(0, False)
         missing = skipped + (0 if self._has_sample else 1)
         if missing == 0 or self.state is State.OFFLINE:

@@ -5,6 +5,8 @@ The test plays the boards (``HandGateway``) or lets the simulated ones answer (`
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from helpers import (
     ADC_BOOT,
@@ -50,6 +52,14 @@ class TestBringUp:
         assert gateway.give(ADC_BOOT).frames == (START_ADC,)
         assert gateway.give(DAC_BOOT).frames == (START_DAC,)
         assert gateway.told.texts() == ["adc: boot-up", "dac: boot-up"]
+
+    def test_a_board_is_told_when_its_state_changes_and_then_no_more(self) -> None:
+        gateway = hand()
+        for _ in range(3):
+            gateway.give(ADC_BOOT)
+        for _ in range(3):
+            gateway.give(ADC_UP)
+        assert gateway.told.texts() == ["adc: boot-up", "adc: operational"]
 
     @pytest.mark.parametrize("state", [0, 4, 127, 99])
     def test_every_heartbeat_that_is_not_operational_is_answered(self, state: int) -> None:
@@ -152,6 +162,24 @@ def test_valves_are_centred_every_period_in_every_state_but_running(state: State
             gateway.give(ADC_UP, DAC_UP)
             assert commands(gateway.sample((5.0 + 0.1 * k, 4.0, 6.0))) == []
         assert gateway.state is state
+
+
+def test_a_valve_that_something_else_moved_is_centred_at_the_next_deadline() -> None:
+    gateway = hand(State.ARMED)
+    gateway.core._valves.command(0, 2.0)
+    assert commands(gateway.deadline()) == [CENTRED]
+
+
+def test_before_the_first_sample_a_cycle_says_that_nothing_is_known() -> None:
+    gateway = hand()
+    gateway.deadline()
+    cycle = gateway.deadline().cycle
+    assert cycle is not None
+    assert (cycle.number, cycle.receive_ns, cycle.fresh) == (0, 0, False)
+    for axis in cycle.axes:
+        assert math.isnan(axis.setpoint) and math.isnan(axis.position) and math.isnan(axis.error)
+        assert math.isnan(axis.potentiometer_v)
+        assert (axis.output_v, axis.command_v) == (0.0, 5.0)
 
 
 class TestRunning:

@@ -223,6 +223,12 @@ class TestStaleness:
         assert states == [State.RUNNING] * 3 + [State.FAULT] * 2
         assert command_v == pytest.approx([6.0, 6.0, 6.0, 5.0, 5.0])
 
+    def test_in_fault_silence_is_not_told_again(self) -> None:
+        gateway = hand(State.READY)
+        gateway.core.link_failed("x")
+        events = [event for _ in range(TIMEOUT_PERIODS + 10) for event in gateway.deadline().events]
+        assert events == []
+
     def test_while_offline_nothing_is_counted(self) -> None:
         gateway = hand()
         for _ in range(50):
@@ -391,6 +397,14 @@ class TestBoardRestart:
         assert gateway.core.rejected_frames == 0
         assert gateway.core.lost_samples == 0
 
+    def test_the_other_boards_restart_does_not_excuse_a_repeated_counter(self) -> None:
+        gateway = hand(State.READY)
+        gateway.period()
+        gateway.give(DAC_BOOT)
+        gateway.deadline()
+        gateway.counter -= 1
+        assert "repeated" in texts(gateway.sample())[0]
+
     @pytest.mark.parametrize("board", ["adc", "dac"])
     def test_a_simulated_board_that_restarts_is_brought_up_again_after_reset(self, board: str) -> None:
         bench = Bench(make_rig()).run()
@@ -496,6 +510,12 @@ class TestBusErrors:
         assert faults(output) == ["bus: bus-off: check wiring, termination and bit rate"]
         assert commands(output) == [CENTRED]
 
+    @pytest.mark.parametrize("bit", [bit for bit in range(29) if 1 << bit != 0x40])
+    def test_no_other_class_of_error_is(self, bit: int) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.give(error_frame(1 << bit))
+        assert gateway.state is State.RUNNING
+
     def test_bus_off_among_other_classes_is_one_too(self) -> None:
         gateway = hand(State.RUNNING)
         gateway.give(error_frame(0x40 | 0x04))
@@ -593,6 +613,23 @@ class TestNotFinite:
         assert commands(output) == [CENTRED]
         assert gateway.state is State.FAULT
         assert faults(output)[0].startswith(f"{gateway.core._axes[axis].name}: control law gave ")
+
+
+def test_no_number_that_is_not_finite_reaches_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    gateway = hand(State.RUNNING)
+    asked: list[float] = []
+    command = gateway.core._valves.command
+
+    def spied(index: int, offset_v: float) -> float:
+        asked.append(offset_v)
+        return command(index, offset_v)
+
+    monkeypatch.setattr(gateway.core._valves, "command", spied)
+    gateway.core._axes[1].setpoint = lambda t: math.nan
+    gateway.deadline()
+    gateway.sample()
+    assert len(asked) == 1
+    assert math.isfinite(asked[0])
 
 
 class TestReset:

@@ -158,6 +158,15 @@ class TestRange:
         volts[channel] = counts * COUNT_V
         assert isinstance(guard().check(sample(0, volts), 0, True), list) == is_good
 
+    @pytest.mark.parametrize(
+        ("counts", "is_good"), [(8191, False), (8192, True), (24576, True), (24577, False)]
+    )
+    def test_a_limit_that_is_a_whole_count_is_allowed(self, counts: int, is_good: bool) -> None:
+        pot = "axes__vertical__potentiometer__"
+        axis = {"axes__vertical__min_y": "-0.01", "axes__vertical__max_y": "0.01"}
+        checks = guard(**{f"{pot}min_v": "2.5", f"{pot}max_v": "7.5"}, **axis)
+        assert isinstance(checks.check(sample(0, (counts * COUNT_V, 5.0, 5.0)), 0, True), list) == is_good
+
     def test_the_reason_names_axis_value_and_limits(self) -> None:
         assert guard().check(sample(0, (5.0, 9.95, 5.0)), 0, True) == (
             "horizontal: potentiometer 9.950 V outside 0.1 to 9.9 V "

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import control
 import numpy as np
 import pytest
+import scipy.linalg
 from helpers import make_rig
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -202,6 +203,29 @@ class TestAntiWindup:
         num = np.atleast_1d(np.poly(zeros)) * generator.uniform(0.1, 30.0)
         law = TransferFunction(num=num.tolist(), den=np.poly(poles).tolist())
         assert spectral_radius(conditioned(law)) < 1 - 1e-10
+
+    @pytest.mark.parametrize("law", [*INTEGRATING, *map(shipped, shipped_controllers())])
+    def test_it_is_the_stationary_kalman_predictor(self, law: Law) -> None:
+        """Against scipy's Riccati solver; noise as the docstring says."""
+        A, B, C, D = realise(law, TS)
+        m = B.shape[1]
+        responses = [D, *(C @ np.linalg.matrix_power(A, k) @ B for k in range(len(A)))]
+        R = D @ D.T / m + (0.1 * np.max(np.abs(responses))) ** 2
+        S = B @ D.T / m
+        P = scipy.linalg.solve_discrete_are(A.T, C.T, B @ B.T / m, R, s=S)
+        expected = (A @ P @ C.T + S) / (R + C @ P @ C.T)
+        L = anti_windup_gain(A, B, C, D)
+        assert pytest.approx(expected, abs=1e-4 * np.max(np.abs(expected))) == L
+
+    @pytest.mark.parametrize("law", INTEGRATING)
+    @pytest.mark.parametrize("factor", [1e-4, 100.0])
+    def test_it_does_not_depend_on_units(self, law: Law, factor: float) -> None:
+        A, B, C, D = realise(law, TS)
+        L = anti_windup_gain(A, B, C, D)
+        in_other_input_units = anti_windup_gain(A, factor * B, C, factor * D)
+        in_other_output_units = anti_windup_gain(A, B, factor * C, factor * D)
+        assert in_other_input_units == pytest.approx(L, rel=1e-6)
+        assert in_other_output_units * factor == pytest.approx(L, rel=1e-6)
 
     def test_it_is_hanus_conditioning_where_zeros_are_well_inside(self) -> None:
         A, B, C, D = realise(Pid(kp=3.0, ki=20.0), TS)

@@ -34,6 +34,16 @@ def test_the_table_is_what_it_should_be(state: State, trigger: Trigger) -> None:
     assert next_state(state, trigger) is EXPECTED.get((state, trigger))
 
 
+def test_states_have_the_numbers_that_recordings_hold() -> None:
+    assert [(state.name, state.value) for state in State] == [
+        ("OFFLINE", 0),
+        ("READY", 1),
+        ("ARMED", 2),
+        ("RUNNING", 3),
+        ("FAULT", 4),
+    ]
+
+
 def test_nothing_else_is_in_it() -> None:
     assert TRANSITIONS == EXPECTED
 

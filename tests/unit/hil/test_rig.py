@@ -156,6 +156,7 @@ def test_two_axes_on_one_channel_are_refused(part: str) -> None:
         (f"{POT}.max_v", repr(HIGHEST_WIRE_V)),
         (f"{VALVE}.centre_v", repr(VOLTS_PER_COUNT)),
         (f"{VALVE}.min_v", repr(5.0 - VOLTS_PER_COUNT)),
+        (f"{VALVE}.max_v", repr(5.0 + VOLTS_PER_COUNT)),
         ("axes.vertical.min_y", "-0.1616"),
         (f"{VALVE}.max_rate_v_s", "1e-9"),
         ("dac.apply", '"at once"'),
@@ -163,6 +164,32 @@ def test_two_axes_on_one_channel_are_refused(part: str) -> None:
 )
 def test_the_limits_themselves_are_allowed(key: str, literal: str) -> None:
     assert isinstance(read_rig(rig_text({key: literal}), "my.toml"), Rig)
+
+
+def test_an_axis_may_reach_exactly_what_its_potentiometer_may() -> None:
+    changes = {f"{POT}.y_at_0v": "0", f"{POT}.y_at_10v": "10", f"{POT}.min_v": "1", f"{POT}.max_v": "9"}
+    axis = {"axes.vertical.min_y": "1", "axes.vertical.max_y": "9"}
+    rig = read_rig(rig_text(changes | axis), "my.toml")
+    assert (rig.axes["vertical"].min_y, rig.axes["vertical"].max_y) == (1.0, 9.0)
+
+
+def test_a_rig_cannot_be_changed() -> None:
+    rig = read_rig(EXAMPLE, "my.toml")
+    axis = rig.axes["vertical"]
+    for table in (
+        rig,
+        rig.loop,
+        rig.bus,
+        rig.gateway,
+        rig.adc,
+        rig.dac,
+        axis,
+        axis.potentiometer,
+        axis.valve,
+    ):
+        for field in table.__struct_fields__:
+            with pytest.raises(AttributeError):
+                setattr(table, field, getattr(table, field))
 
 
 @pytest.mark.parametrize("key", [f"{VALVE}.min_v", f"{VALVE}.max_v"])

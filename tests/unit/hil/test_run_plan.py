@@ -9,7 +9,7 @@ from firmware_sim.faults import AdcFaults
 from hil.events import Output
 from hil.frames import Frame
 from hil.life_cycle import State, Trigger
-from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan
+from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
 from hil.wire import codec
 
 PERIOD_S = 0.0112
@@ -174,6 +174,23 @@ class TestEnding:
             plan.end(Ending.LINK)
             stepped(plan, gateway)
         assert plan.is_over
+
+
+def test_by_itself_it_waits_5_s_for_the_boards() -> None:
+    plan, gateway = RunPlan(10.0, PERIOD_S), hand()
+    for _ in range(446):
+        stepped(plan, gateway)
+    assert plan.ending is None
+    stepped(plan, gateway)
+    assert plan.ending is Ending.NO_BOARDS
+
+
+def test_a_stop_request_is_set_by_a_signal_and_stays() -> None:
+    stop = StopRequest()
+    assert not stop.is_set
+    for _ in range(2):
+        stop.set(15, None)
+        assert stop.is_set
 
 
 def test_a_run_that_is_not_over_has_no_ending() -> None:
