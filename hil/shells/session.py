@@ -59,12 +59,11 @@ class Session:
         self._answer(self.gateway.operate(trigger, now_ns), now_ns)
 
     def link_failed(self, reason: str) -> None:
-        """Tell the core that the bus is gone, and end the run."""
+        """Tell the core that the bus is gone, and end the run; what the core answers cannot leave."""
         now_ns = self._clock_ns()
         self.plan.end(Ending.LINK)
-        self._send = _discard
         self._recorder.operated(LINK_FAILED + reason, now_ns)
-        self._answer(self.gateway.link_failed(reason), now_ns)
+        self._answer(self.gateway.link_failed(reason)._replace(frames=()), now_ns)
 
     def note(self, event: Event) -> None:
         """Record and show something that the shell has to say."""
@@ -88,7 +87,3 @@ class Session:
             news = recorder.hand_over()
             if news is not None:
                 self._audience.event(news)
-
-
-def _discard(_frame: Frame) -> None:
-    """The bus is gone: nothing leaves any more."""

@@ -1,0 +1,186 @@
+"""The real-time shell on a clock and a link of the test's own: late wake-ups, failing links, a stop."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.linear_plant import LinearPlant
+from firmware_sim.simulated_rig import SimulatedRig
+from hil.errors import LinkError
+from hil.events import Cycle, Event
+from hil.frames import Frame
+from hil.gateway import Gateway
+from hil.life_cycle import State
+from hil.links import Received
+from hil.recording.reader import DeadlineCalled, FrameSent, Recording
+from hil.recording.recorder import Recorder, RunHeader
+from hil.run_setup import RunSetup, load_setup
+from hil.shells import realtime
+from hil.shells.replay import verify
+from hil.shells.run_plan import Ending, RunPlan, StopRequest
+from hil.shells.session import Session
+from hil.wire import codec
+
+PERIOD_NS = 11_200_000
+LATENCY_NS = 400_000
+RUN_S = 1.0
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_ns = 5_000_000_000
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+
+class LinkToBoards:
+    """Simulated boards behind a link; answers take a while, and the test can break it or hold time up."""
+
+    def __init__(self, setup: RunSetup, clock: Clock) -> None:
+        self._boards = SimulatedRig(setup.rig, LinearPlant(setup.rig))
+        self._clock = clock
+        self._waiting: deque[tuple[int, Frame]] = deque()
+        self.fails_after_sent: int | None = None
+        self.fails_after_received: int | None = None
+        self.stall_ns: dict[int, int] = {}
+        """After so many sent frames, time jumps by so much."""
+        self.sent = self.received = 0
+        self._push(self._boards.start(clock.now_ns))
+
+    def send(self, frame: Frame) -> None:
+        if self.sent == self.fails_after_sent:
+            raise LinkError("cannot send: unplugged")
+        self.sent += 1
+        self._push(self._boards.receive(frame, self._clock.now_ns))
+        self._clock.now_ns += self.stall_ns.get(self.sent, 0)
+
+    def receive(self, timeout_s: float) -> Received | None:
+        if self.received == self.fails_after_received:
+            raise LinkError("cannot receive: unplugged")
+        end_ns = self._clock.now_ns + max(round(timeout_s * 1e9), 0)
+        if self._boards.next_deadline_ns <= end_ns:
+            self._push(self._boards.on_deadline(max(self._boards.next_deadline_ns, self._clock.now_ns)))
+        if self._waiting and self._waiting[0][0] <= end_ns:
+            arrival_ns, frame = self._waiting.popleft()
+            self._clock.now_ns = max(self._clock.now_ns, arrival_ns)
+            self.received += 1
+            return Received(frame, arrival_ns, "kernel")
+        self._clock.now_ns = end_ns
+        return None
+
+    def _push(self, frames: tuple[Frame, ...]) -> None:
+        self._waiting.extend((self._clock.now_ns + LATENCY_NS, frame) for frame in frames)
+
+
+class Audience:
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+
+    def event(self, event: Event) -> None:
+        self.events.append(event)
+
+    def cycle(self, _cycle: Cycle, _gateway: Gateway) -> None: ...
+
+
+class Bench:
+    """One run; ``finish`` gives its recording."""
+
+    def __init__(self, folder: Path, clock: Clock) -> None:
+        self.setup = load_setup(None, {}, {})
+        self.clock = clock
+        self.link = LinkToBoards(self.setup, clock)
+        self.stop = StopRequest()
+        self.plan = RunPlan(RUN_S, PERIOD_NS / 1e9)
+        self.audience = Audience()
+        self._path = folder / "run.mcap"
+        texts = {name: ("text/plain", text.encode()) for name, text in self.setup.texts.items()}
+        setpoints = {name: setpoint.text for name, setpoint in self.setup.setpoints.items()}
+        axes = tuple((name, axis.unit) for name, axis in self.setup.rig.axes.items())
+        header = RunHeader(10**18, "test", "kernel", axes, texts, {"setpoints": setpoints})
+        self._recorder = Recorder(self._path, header, lossless=True)
+        self.gateway = self.setup.gateway(clock.now_ns + PERIOD_NS)
+        self.session = Session(self.gateway, self.plan, self.link.send, clock, self._recorder, self.audience)
+
+    def run(self) -> Recording:
+        realtime.run(self.session, self.link, self.stop)  # type: ignore[arg-type]
+        assert self._recorder.close({}).failure is None
+        return Recording(self._path)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    clock = Clock()
+    monkeypatch.setattr(realtime, "monotonic_ns", clock)
+    yield Bench(tmp_path, clock)
+
+
+def commands(recording: Recording) -> list[tuple[float, ...]]:
+    frames = [call.frame for call in recording.calls() if isinstance(call, FrameSent)]
+    return [codec.decode_rpdo1_dac(frame.data)[:3] for frame in frames if frame.id == codec.RPDO1_DAC]
+
+
+def test_a_run_completes_and_its_recording_verifies(bench: Bench) -> None:
+    recording = bench.run()
+    assert bench.plan.ending is Ending.COMPLETED
+    timing = recording.timing()
+    assert sum(timing["state"] == State.RUNNING) == RUN_S * 1e9 // PERIOD_NS + 1
+    assert set(timing["wake_ns"] - timing["deadline_ns"]) == {0}
+    assert set((timing["receive_ns"] - timing["wake_ns"])[timing["fresh"]]) == {LATENCY_NS}
+    assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+def test_a_stop_request_centres_the_valves(bench: Bench) -> None:
+    bench.stop.set()
+    recording = bench.run()
+    assert bench.plan.ending is Ending.INTERRUPTED
+    assert len(recording.timing()) < 10
+    assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+
+
+def test_missed_deadlines_are_skipped_never_caught_up(bench: Bench) -> None:
+    bench.link.stall_ns = {100: 30_000_000}
+    recording = bench.run()
+    assert bench.plan.ending is Ending.COMPLETED
+    assert bench.gateway.missed_periods >= 1
+    deadlines = [call.deadline_ns for call in recording.calls() if isinstance(call, DeadlineCalled)]
+    called = [call.now_ns for call in recording.calls() if isinstance(call, DeadlineCalled)]
+    gaps = [later - sooner for sooner, later in pairwise(called)]
+    assert min(gaps) > PERIOD_NS / 2, "one late period, then the grid again"
+    assert all((deadline - deadlines[0]) % PERIOD_NS == 0 for deadline in deadlines)
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+def test_a_long_stall_is_a_fault_that_says_what_it_was(bench: Bench) -> None:
+    bench.link.stall_ns = {100: 100_000_000}
+    recording = bench.run()
+    assert bench.plan.ending is Ending.FAULT
+    assert bench.gateway.fault_reason is not None
+    assert "limit 5 (rig: adc.stale_after_periods)" in bench.gateway.fault_reason
+    assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+@pytest.mark.parametrize("at", range(100, 106))
+def test_a_link_that_fails_to_send_ends_the_run_and_still_verifies(bench: Bench, at: int) -> None:
+    """Whichever frame of an answer it takes with it."""
+    bench.link.fails_after_sent = at
+    recording = bench.run()
+    assert bench.plan.ending is Ending.LINK
+    assert bench.gateway.fault_reason == "link: cannot send: unplugged"
+    assert bench.gateway.state is State.FAULT
+    assert verify(recording).frames_compared == bench.link.sent == at
+
+
+def test_a_link_that_fails_to_receive_ends_the_run_and_still_verifies(bench: Bench) -> None:
+    bench.link.fails_after_received = 50
+    recording = bench.run()
+    assert bench.plan.ending is Ending.LINK
+    assert [event.text for event in bench.audience.events][-2] == "cannot receive: unplugged"
+    assert verify(recording).frames_compared == bench.link.sent
