@@ -35,7 +35,6 @@ from hil.wire import codec
 
 PERIOD_NS = 11_200_000
 CENTRED = (5.0, 5.0, 5.0)
-COUNT_V = 10.0 / 32768
 GATEWAY_HEARTBEAT = Frame(0x701, b"\x05")
 TIMEOUT_PERIODS = 27
 LIVE_STATES = [State.OFFLINE, State.READY, State.ARMED, State.RUNNING]
