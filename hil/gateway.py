@@ -30,6 +30,9 @@ ADC_NODE, DAC_NODE = 0x10, 0x20
 BUS_OFF = 0x40
 """CAN_ERR_BUSOFF of linux/can/error.h."""
 
+MOST_REPORTED = 64
+"""Unexpected identifiers that are reported: a babbling node must not fill the recording with events."""
+
 OWN_IDENTIFIERS = {
     codec.RPDO1_DAC: "RPDO1_DAC",
     codec.SYNC: "SYNC",
@@ -307,7 +310,7 @@ class Gateway:
         return self._fault("bus", text)
 
     def _report_unexpected(self, frame: Frame) -> Output:
-        if frame.id in self._reported_identifiers:
+        if frame.id in self._reported_identifiers or len(self._reported_identifiers) >= MOST_REPORTED:
             return _NOTHING
         self._reported_identifiers.add(frame.id)
         text = f"frame {frame} is not in arm.dbc; further ones of its identifier are ignored in silence"

@@ -30,6 +30,7 @@ from firmware_sim.faults import AdcFaults, DacFaults
 from hil.controller_file import Pid, TransferFunction
 from hil.events import Event, Output, Severity
 from hil.frames import Frame
+from hil.gateway import MOST_REPORTED
 from hil.life_cycle import State, Trigger
 from hil.wire import codec
 
@@ -569,6 +570,12 @@ class TestStrangers:
         for _ in range(3):
             assert gateway.give(frame) == Output()
         assert gateway.state is state
+
+    def test_a_babbling_node_does_not_fill_the_recording(self) -> None:
+        gateway = hand(State.RUNNING)
+        told = [gateway.give(Frame(identifier, is_extended=True)).events for identifier in range(1000, 1500)]
+        assert sum(map(len, told)) == MOST_REPORTED
+        assert gateway.state is State.RUNNING
 
     def test_an_extended_frame_is_no_sample(self) -> None:
         gateway = hand(State.RUNNING)
