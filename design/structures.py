@@ -6,6 +6,7 @@ rule at the loop's period, which is also how every structure is verified in a sa
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -128,12 +129,12 @@ class Structure(Protocol):
         ...
 
 
-class TustinLaw:
+class TustinLaw(ABC):
     """The default law: the structure's polynomials by Tustin's rule."""
 
+    @abstractmethod
     def controller(self, values: Array) -> Controller:
         """Polynomials (n, k) in s of n candidates."""
-        raise NotImplementedError
 
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """What the daemon runs for one candidate."""
