@@ -26,6 +26,8 @@ from design.polynomials import Array, ComplexArray
 
 _ANGLES = np.pi / 16.0 * np.arange(16)
 _NEARLY_ZERO = 1e-100
+_HUGE = 1e60
+"""For β where an unstable mode is hidden, and nothing stabilises."""
 
 
 class _Problem(NamedTuple):
@@ -116,7 +118,9 @@ def _problem(Gs: TransferFunction) -> _Problem:
     below = cos * d_mirrored_A - sin * n_mirrored_A
     below[:, i, i] += _NEARLY_ZERO
     above = sin * d_A + cos * n_A
-    R = np.linalg.solve(below.transpose(0, 2, 1), above.transpose(0, 2, 1)).transpose(0, 2, 1)
+    with np.errstate(all="ignore"):
+        R = np.linalg.solve(below.transpose(0, 2, 1), above.transpose(0, 2, 1)).transpose(0, 2, 1)
+        R[~(np.abs(R) < _HUGE)] = _HUGE
     return _Problem(n, roots, A, b, R.astype(np.complex128), (n_A, n_mirrored_A, d_A, d_mirrored_A), scale)
 
 

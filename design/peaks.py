@@ -20,6 +20,7 @@ from design.polynomials import Array
 
 _HIGHER = 1.0 + 1e-11
 _MOST_ROUNDS = 30
+_BLURRED = 1e-9
 
 
 class Power:
@@ -82,16 +83,41 @@ def peak(above: Sequence[Power], below: Sequence[Power], enough: Array | None = 
                 _climb(b, p, some)
                 best[active], place[active] = b, p
             active = active[higher & (b < enough[active])]
-        inside = np.isfinite(place) & (place > 0.0) & np.isfinite(best)
+        inside = np.isfinite(place) & (place > 0.0)
         omega = np.sqrt(place)
         inner = np.where(inside, omega, 1.0)[:, None]
-        value = np.ones_like(inner)
-        for factor in above:
-            value = value * factor.at(inner)
-        for factor in below:
-            value = value / factor.at(inner)
+        value = _exact(inner, above, below)
+        blurred = inside & (np.abs(value[:, 0] / best - 1.0) > _BLURRED)
+        if blurred.any():
+            value, inner = _zoom(inner, above, below)
+            omega = np.where(inside, inner[:, 0], omega)
         best = np.where(inside, np.maximum(value[:, 0], ends), best)
     return best, omega
+
+
+def _exact(omega: Array, above: Sequence[Power], below: Sequence[Power]) -> Array:
+    """The ratio at ω (B, k) from even and odd parts."""
+    value = np.ones_like(omega)
+    for factor in above:
+        value = value * factor.at(omega)
+    for factor in below:
+        value = value / factor.at(omega)
+    return value
+
+
+def _zoom(omega: Array, above: Sequence[Power], below: Sequence[Power]) -> tuple[Array, Array]:
+    """The highest exact value (B, 1) around ω (B, 1), and where.
+
+    For a mode so lightly damped that N and D as coefficients blur its peak.
+    """
+    rows = np.arange(len(omega))
+    width = 1e-3
+    while width > 1e-17:
+        around = omega * (1.0 + width * np.linspace(-1.0, 1.0, 9))
+        value = _exact(around, above, below)
+        omega = around[rows, value.argmax(axis=-1)][:, None]
+        width /= 3.0
+    return _exact(omega, above, below), omega
 
 
 def _ends(pair: Array) -> tuple[Array, Array]:
@@ -122,8 +148,9 @@ def _between_roots(level: Array) -> Array:
 
 def _improve(best: Array, place: Array, x: Array, pair: Array) -> None:
     """Raise ``best`` to the largest value at ``x`` (B, k), in place."""
-    both = poly.at(pair, x)
-    value = both[0] / both[1]
+    N, D = poly.at(pair, x)
+    # D is a power: where it comes out negative, a pole is as close to the axis as rounding can tell.
+    value = N / np.abs(D)
     value[~(value > 0.0)] = 0.0
     rows = np.arange(len(x))
     chosen = value.argmax(axis=-1)

@@ -94,7 +94,6 @@ def test_sampled_synthesis_keeps_its_promise_in_z(G: System, delay_samples: int)
     plane = delayed(zero_order_hold(G.polynomials, sampling.period_s), sampling)
     K, optimum = central_controllers(plane)
     assume(optimum[0] > 1e-3)
-    assert optimum[0] <= optimal_margins(G.polynomials)[0] * (1.0 + 1e-4)
     assert stability_margin(plane, K)[0] >= optimum[0] / 1.1 * (1.0 - 1e-6)
 
 

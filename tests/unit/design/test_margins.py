@@ -74,8 +74,14 @@ def test_a_very_lightly_damped_mode_is_not_missed() -> None:
     G, K = tf([1.0], [1.0, 2.0 * zeta * w0, w0**2]), tf([1e-9], [1.0])
     margin, omega = margin_and_frequency(G, K)
     peak = 1.0 / (2.0 * zeta * w0**2 * np.sqrt(1.0 - zeta**2))
-    assert margin[0] == pytest.approx(1.0 / np.sqrt(1.0 + peak**2), rel=1e-3)
+    assert margin[0] == pytest.approx(1.0 / np.sqrt(1.0 + peak**2), rel=1e-6)
     assert omega[0] == pytest.approx(w0, rel=1e-6)
+
+
+def test_a_pole_on_the_axis_leaves_nothing() -> None:
+    # Routh's table sees the undamped pair as stable by 1e-16; the peak does not.
+    num, den = np.polymul([3.0216], [1.0, 2.0, 1.0]), np.polymul([1.0, 2.0, 1.0], [1.0, 0.0, 0.0])
+    assert stability_margin(TransferFunction(num, den), tf([1.0], [1.0]))[0] < 1e-12
 
 
 def test_peaks_of_equal_height_and_peaks_at_both_ends() -> None:
