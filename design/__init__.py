@@ -23,7 +23,8 @@ margins                stability margin ε, gain and phase margin, crossover, ba
 nu_gap                 chordal distance, Vinnicombe's ν-gap
 loop_shaping           Appendices A and B, McFarlane-Glover synthesis by Riccati equations, one plant
 central_controller     the same, batched, by interpolation
-structures             controller and weight structures, boxes, codings, and the laws they become
+boxes                  parameters, their boxes and codings
+structures             controller and weight structures, and the laws they become
 realisation            state space and polynomials, s (bilinear plane) and z, back and forth
 verification           the law as the daemon realises it, back as polynomials: what is verified runs
 responses, loops       batched step responses (``matrix_exponential``); all that can be read off loops

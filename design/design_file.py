@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from design.boxes import Parameter, with_boxes
 from design.differential_evolution import DifferentialEvolution
 from design.genetic_algorithm import GeneticAlgorithm
 from design.plant import Sampling
@@ -23,9 +24,7 @@ from design.structures import (
     STRUCTURES,
     FreeTransferFunction,
     IntegralWeight,
-    Parameter,
     Structure,
-    with_boxes,
 )
 from hil.documents import Document, from_toml
 from hil.errors import DocumentError

@@ -27,11 +27,6 @@ def characteristic(G: TransferFunction, K: TransferFunction) -> Array:
     return poly.add(poly.multiply(K.den, G.den), poly.multiply(K.num, G.num))
 
 
-def stabilises(G: TransferFunction, K: TransferFunction) -> Flags:
-    """Whether each loop is internally stable, and well posed (no algebraic loop of gain -1)."""
-    return poly.hurwitz(np.atleast_2d(characteristic(G, K)))
-
-
 def stability_margin(
     G: TransferFunction, K: TransferFunction, W: TransferFunction = UNIT, worth: Array | None = None
 ) -> Array:

@@ -197,18 +197,3 @@ def to_z(H: TransferFunction, period_s: float) -> TransferFunction:
     ]
     lead = pair[1][..., :1]
     return TransferFunction(pair[0] / lead, pair[1] / lead)
-
-
-def from_z(H: TransferFunction, period_s: float) -> TransferFunction:
-    """From falling powers of z to the bilinear plane, z = (1 + sT/2)/(1 - sT/2)."""
-    n = max(H.num.shape[-1], H.den.shape[-1])
-    half = 0.5 * period_s
-    num, den = (
-        poly.substitute_fraction(
-            np.concatenate([np.zeros((*p.shape[:-1], n - p.shape[-1])), p], axis=-1),
-            (half, 1.0),
-            (-half, 1.0),
-        )
-        for p in H
-    )
-    return TransferFunction(num, den)

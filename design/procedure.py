@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from design import baselines, margins
+from design.boxes import Parameter, with_boxes
 from design.comparison import Candidate, Measures, Problem
 from design.design_file import DesignFile
 from design.differential_evolution import DifferentialEvolution
@@ -21,7 +22,7 @@ from design.nu_gap import nu_gap
 from design.plant import Plant
 from design.search import Progress, Searcher
 from design.specifications import Reading, readings, response_horizon_s
-from design.structures import STRUCTURES, Controller, Parameter, Structure, tustin_law, with_boxes
+from design.structures import STRUCTURES, Controller, Structure, tustin_law
 from design.synthesis import Synthesis, synthesise
 from design.weight_selection import LEAST_COMPATIBLE, WeightSelection, select_weight
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from design import polynomials as poly
+from design.boxes import Parameter
 from design.errors import DesignError
 from design.plant import TransferFunction, to_z
 from design.polynomials import Array
@@ -21,9 +22,6 @@ from design.realisation import observer_form, sampled
 from hil.controller_file import Law, Pid
 from hil.controller_file import StateSpace as StateSpaceLaw
 from hil.controller_file import TransferFunction as TransferFunctionLaw
-
-_AT_A_WALL = 1e-3
-"""Of the box's width, as coded."""
 
 
 class Controller(NamedTuple):
@@ -45,70 +43,6 @@ class Controller(NamedTuple):
 def of_error(num: Array, den: Array) -> Controller:
     """A controller with one degree of freedom, u = num/den (r - y)."""
     return Controller(num, den, num)
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number to be found, its box, and whether the search sees it or its logarithm."""
-
-    name: str
-    low: float
-    high: float
-    coding: str = "logarithmic"
-
-    def __post_init__(self) -> None:
-        if self.coding not in ("logarithmic", "linear"):
-            raise DesignError(f"{self.name}: coding {self.coding!r} is neither 'logarithmic' nor 'linear'")
-        if not self.low < self.high:
-            raise DesignError(f"{self.name}: box [{self.low}, {self.high}]: low must be below high")
-        if self.coding == "logarithmic" and not self.low > 0.0:
-            raise DesignError(
-                f"{self.name}: box [{self.low}, {self.high}]: a logarithmic coding needs low over 0; "
-                "raise it, or use coding = 'linear'"
-            )
-
-
-@dataclass(frozen=True)
-class Box:
-    """Parameters as a unit cube: what searchers see."""
-
-    parameters: tuple[Parameter, ...]
-
-    def __len__(self) -> int:
-        return len(self.parameters)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameter names in order."""
-        return tuple(parameter.name for parameter in self.parameters)
-
-    def decode(self, unit: Array) -> Array:
-        """Parameter values (n, p) from points (n, p) of the unit cube."""
-        low, high, logarithmic = self._limits()
-        linear = low + unit * (high - low)
-        safe_low, safe_high = np.where(logarithmic, low, 1.0), np.where(logarithmic, high, 1.0)
-        return np.where(logarithmic, safe_low * (safe_high / safe_low) ** unit, linear)
-
-    def encode(self, values: Array) -> Array:
-        """Inverse of :meth:`decode`."""
-        low, high, logarithmic = self._limits()
-        safe = np.where(logarithmic, values, 1.0)
-        ratio = np.where(logarithmic, high, np.e) / np.where(logarithmic, low, 1.0)
-        return np.where(
-            logarithmic,
-            np.log(safe / np.where(logarithmic, low, 1.0)) / np.log(ratio),
-            (values - low) / (high - low),
-        )
-
-    def at_walls(self, unit: Array) -> tuple[str, ...]:
-        """Names of the parameters that a point (p,) of the unit cube has at an end of their box."""
-        near = np.minimum(unit, 1.0 - unit) < _AT_A_WALL
-        return tuple(name for name, touching in zip(self.names, near, strict=True) if touching)
-
-    def _limits(self) -> tuple[Array, Array, poly.Flags]:
-        low = np.array([parameter.low for parameter in self.parameters])
-        high = np.array([parameter.high for parameter in self.parameters])
-        return low, high, np.array([parameter.coding == "logarithmic" for parameter in self.parameters])
 
 
 @runtime_checkable
@@ -326,21 +260,6 @@ STRUCTURES: Mapping[str, Structure] = {
     "pi-lead": ProportionalIntegralLead(),
 }
 """By the names that a design file uses; "free" takes orders, see FreeTransferFunction."""
-
-AnyStructure = TypeVar("AnyStructure")
-
-
-def with_boxes(structure: AnyStructure, boxes: Mapping[str, Parameter]) -> AnyStructure:
-    """The same structure with other boxes or codings for some of its parameters. Raises DesignError."""
-    parameters: tuple[Parameter, ...] = structure.parameters  # type: ignore[attr-defined]
-    unknown = set(boxes) - {parameter.name for parameter in parameters}
-    if unknown:
-        raise DesignError(
-            f"no parameter {', '.join(sorted(unknown))} in this structure; it has "
-            + ", ".join(parameter.name for parameter in parameters)
-        )
-    changed = tuple(boxes.get(parameter.name, parameter) for parameter in parameters)
-    return replace(structure, parameters=changed)  # type: ignore[type-var]
 
 
 def _pid(kp: Array, ki: Array, kd: Array, tau_d: Array) -> tuple[Array, Array]:

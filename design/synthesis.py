@@ -15,6 +15,7 @@ import numpy as np
 
 from design import margins
 from design import polynomials as poly
+from design.boxes import Box
 from design.central_controller import optimal_margins
 from design.differential_evolution import DifferentialEvolution
 from design.errors import InfeasibleError, NotStabilisedError
@@ -31,7 +32,7 @@ from design.specifications import (
     response_horizon_s,
     violations,
 )
-from design.structures import Box, Structure
+from design.structures import Structure
 
 
 @dataclass(frozen=True)

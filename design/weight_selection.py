@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from design import polynomials as poly
+from design.boxes import Box
 from design.central_controller import central_controllers
 from design.differential_evolution import DifferentialEvolution
 from design.errors import InfeasibleError
@@ -30,7 +31,7 @@ from design.specifications import (
     response_horizon_s,
     violations,
 )
-from design.structures import Box, IntegralWeight, Structure, of_error
+from design.structures import IntegralWeight, Structure, of_error
 
 LEAST_COMPATIBLE = 0.25
 """Below this ε_opt the weight is incompatible with robust stability (step 5 of the paper, [17])."""

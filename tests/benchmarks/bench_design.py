@@ -33,11 +33,12 @@ from support.paper_loop import G0, W1
 from support.random_systems import System, margin_at, slycot_margin, systems
 
 from design import polynomials as poly
+from design.boxes import Box
 from design.central_controller import optimal_margins
 from design.loop_shaping import shaped
 from design.margins import characteristic, margin_and_frequency, stability_margin
 from design.plant import paper_plant
-from design.structures import STRUCTURES, Box, IntegralWeight
+from design.structures import STRUCTURES, IntegralWeight
 from design.synthesis import synthesise
 from design.weight_selection import select_weight
 

@@ -16,7 +16,6 @@ from design.margins import (
     lowest_gain,
     margin_and_frequency,
     phase_margin,
-    stabilises,
     stability_margin,
 )
 from design.plant import Sampling, TransferFunction, paper_plant
@@ -53,7 +52,6 @@ def test_sampled_margins_with_no_one_and_two_samples_of_delay(
 def test_a_batch_knows_which_of_its_loops_are_unstable() -> None:
     K = TransferFunction(np.array([[11.0, 5.0], [500.0, 5.0], [-1.0, -0.1]]), np.array([[1.0, 0.0]]))
     margin, omega = margin_and_frequency(G0, K, W1)
-    assert stabilises(G0, K).tolist() == [True, False, False]
     assert margin[0] > 0.5
     assert margin[1:].tolist() == [0.0, 0.0]
     assert np.isnan(omega).tolist() == [False, True, True]

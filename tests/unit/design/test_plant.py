@@ -15,7 +15,6 @@ from design.plant import (
     TransferFunction,
     check_plant_fits,
     delayed,
-    from_z,
     paper_plant,
     read_plant,
     to_z,
@@ -100,11 +99,11 @@ def test_zero_order_hold_is_scipys_on_the_unit_circle(name: str, period_s: float
     np.testing.assert_allclose(np.polyval(in_z.num, z) / np.polyval(in_z.den, z), expected, rtol=1e-7)
 
 
-def test_z_and_back() -> None:
-    H = TransferFunction(np.array([11.0, 5.6]), np.array([1.0, 0.0]))
-    back = from_z(to_z(H, 0.0112), 0.0112)
-    np.testing.assert_allclose(back.num / back.den[0], H.num, atol=1e-12)
-    np.testing.assert_allclose(back.den / back.den[0], H.den, atol=1e-12)
+def test_tustins_rule() -> None:
+    # 11 + 5.6/s
+    H = to_z(TransferFunction(np.array([11.0, 5.6]), np.array([1.0, 0.0])), 0.0112)
+    np.testing.assert_allclose(H.den, [1.0, -1.0])
+    np.testing.assert_allclose(H.num, [11.0 + 0.0056 * 5.6, -11.0 + 0.0056 * 5.6], rtol=1e-12)
 
 
 def test_a_mode_that_the_period_cannot_see() -> None:

@@ -1,4 +1,4 @@
-"""Structures: their polynomials, the laws the daemon runs, boxes and codings, and a user's own."""
+"""Structures: their polynomials, the laws the daemon runs, and a user's own."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from support.paper_loop import PERIOD_S, W1
 
 from design import polynomials as poly
+from design.boxes import Parameter
 from design.central_controller import central_controllers
 from design.errors import DesignError
 from design.loop_shaping import shaped
@@ -19,16 +18,13 @@ from design.plant import Sampling, TransferFunction, paper_plant
 from design.polynomials import Array
 from design.structures import (
     STRUCTURES,
-    Box,
     Controller,
     FreeTransferFunction,
     IntegralWeight,
-    Parameter,
     Structure,
     TustinLaw,
     of_error,
     tustin_law,
-    with_boxes,
 )
 from design.verification import controller_of_law
 from hil.controller_file import Pid, StateSpace
@@ -123,41 +119,3 @@ def test_the_integral_weight_is_equation_3() -> None:
     W = IntegralWeight().controller(np.array([[15.535, 6.83 / 15.535]])).feedback
     np.testing.assert_allclose(W.num[0], [15.535, 6.83])
     np.testing.assert_allclose(W.den[0], [1.0, 0.001])
-
-
-BOX = Box((Parameter("x", 0.01, 100.0), Parameter("y", -3.0, 5.0, "linear")))
-
-
-@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_decoding_stays_in_the_box_and_is_undone_by_encoding(x: float, y: float) -> None:
-    values = BOX.decode(np.array([[x, y]]))
-    assert 0.01 * (1.0 - 1e-12) <= values[0, 0] <= 100.0 * (1.0 + 1e-12)
-    assert -3.0 <= values[0, 1] <= 5.0
-    np.testing.assert_allclose(BOX.encode(values), [[x, y]], atol=1e-12)
-
-
-def test_codings() -> None:
-    middle = BOX.decode(np.array([[0.5, 0.5]]))
-    np.testing.assert_allclose(middle, [[1.0, 1.0]])
-
-
-def test_boxes_can_be_changed_by_name() -> None:
-    changed = with_boxes(STRUCTURES["pid"], {"kd": Parameter("kd", -1.0, 1.0, "linear")})
-    assert changed.parameters[2].low == -1.0
-    assert STRUCTURES["pid"].parameters[2].low == 0.01
-    with pytest.raises(DesignError, match="no parameter gain in this structure; it has kp, ki, kd, tau_d"):
-        with_boxes(STRUCTURES["pid"], {"gain": Parameter("gain", 1.0, 2.0)})
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("kp", 5.0, 5.0), "low must be below high"),
-        (("kp", 0.0, 5.0), "logarithmic coding needs low over 0"),
-        (("kp", 1.0, 5.0, "cubic"), "neither 'logarithmic' nor 'linear'"),
-    ],
-)
-def test_impossible_boxes_are_refused(arguments: tuple[str, float, float], named: str) -> None:
-    with pytest.raises(DesignError, match="kp: ") as refusal:
-        Parameter(*arguments)
-    assert named in str(refusal.value)

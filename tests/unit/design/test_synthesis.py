@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from support.paper_loop import BEST_PI, BEST_PID, PERIOD_S, W1
 
+from design.boxes import Parameter, with_boxes
 from design.errors import DesignError, InfeasibleError, NotStabilisedError
 from design.genetic_algorithm import GeneticAlgorithm
 from design.margins import stability_margin
 from design.plant import Plant, Sampling, paper_plant
 from design.specifications import Specification
-from design.structures import STRUCTURES, FreeTransferFunction, Parameter, with_boxes
+from design.structures import STRUCTURES, FreeTransferFunction
 from design.synthesis import Synthesis, synthesise
 from design.verification import controller_of_law
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from support.paper_loop import PERIOD_S, W1
 
+from design.boxes import Parameter, with_boxes
 from design.differential_evolution import DifferentialEvolution
 from design.errors import InfeasibleError
 from design.genetic_algorithm import GeneticAlgorithm
 from design.plant import Plant, Sampling, paper_plant
 from design.specifications import PAPER, Specification
-from design.structures import IntegralWeight, Parameter, with_boxes
+from design.structures import IntegralWeight
 from design.weight_selection import select_weight
 
 
