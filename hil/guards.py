@@ -1,5 +1,9 @@
 """Guards on every sample: only a sound, expected, fresh TPDO1 becomes a position.
 
+Fresh is what answers the last SYNC. A board counts its answers, so an answer to an earlier SYNC is told by
+the counter, however soon after the last one it comes. Either it is late, or a SYNC was lost and every answer
+looks late: one period without SYNC decides. Boards without a counter are judged by age alone.
+
 A rejected sample is reported with its reason and counts as none. Nothing here decides what a missing sample
 means: the gateway does.
 """
@@ -12,7 +16,7 @@ from hil.wire.crc8 import crc8_j1850
 
 
 class SampleGuard:
-    """Checks of TPDO1_ADC, in the order length, CRC, counter, once a period, age, range."""
+    """Checks of TPDO1_ADC, in the order length, CRC, counter, which SYNC, once a period, age, range."""
 
     def __init__(self, rig: Rig) -> None:
         self._protected = rig.adc.protected
@@ -23,12 +27,27 @@ class SampleGuard:
             for name, axis in rig.axes.items()
         )
         self._counter: int | None = None
+        self._unanswered = 0
+        self._is_behind = False
+        self._is_waiting = False
         self.lost = 0
         """Frames that the counter says were sent and did not come, or not intact."""
 
     def forget(self) -> None:
         """Expect any counter next: the board has restarted."""
         self._counter = None
+        self._is_behind = False
+
+    def wants_sync(self, may_wait: bool) -> bool:
+        """Begin a period; False where it should pass without SYNC, which needs ``may_wait``."""
+        if self._is_behind and may_wait and not self._is_waiting:
+            self._is_waiting = True
+            return False
+        if self._is_waiting and self._is_behind:
+            self._unanswered = 0  # nothing came late: the board had missed a SYNC
+        self._is_behind = self._is_waiting = False
+        self._unanswered += 1
+        return True
 
     def check(self, data: bytes, age_ns: int, is_first: bool) -> list[float] | str:
         """Potentiometer voltages in the rig's order of axes, or the reason of the rejection.
@@ -47,7 +66,16 @@ class SampleGuard:
                 if step == 0:
                     return f"TPDO1_ADC: counter {counter} repeated"
                 self.lost += step - 1
+                self._unanswered = max(self._unanswered - step, 0)
+            else:
+                self._unanswered = 0
             self._counter = counter
+            self._is_behind = self._unanswered > 0 and not self._is_waiting
+            if self._unanswered > 0:
+                return (
+                    f"TPDO1_ADC: answers an earlier SYNC, {self._unanswered} before the last: it is late, "
+                    "or the board missed a SYNC"
+                )
         if not is_first:
             return "TPDO1_ADC: not the first sample since SYNC"
         if age_ns > self._period_ns:

@@ -170,11 +170,15 @@ class HandGateway:
         self.counter += 1
         return self.give(frame)
 
+    def lose_sample(self) -> None:
+        """The board answers, and its sample does not arrive."""
+        self.counter += 1
+
     def period(self, volts: Sequence[float] | None = None) -> Output:
         """A whole period: deadline, heartbeats of both boards, a sound sample; the sample's output."""
-        self.deadline()
-        self.give(ADC_UP, DAC_UP)
-        return self.sample(volts)
+        has_sync = SYNC in self.deadline().frames
+        output = self.give(ADC_UP, DAC_UP)
+        return self.sample(volts) if has_sync else output
 
     def periods(self, number: int) -> None:
         """So many whole periods."""

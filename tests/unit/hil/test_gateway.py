@@ -281,7 +281,8 @@ class TestRunning:
         gateway.to(State.ARMED)
         gateway.periods(7)
         gateway.operate(Trigger.START)
-        gateway.deadline()  # no sample in this period
+        gateway.deadline()
+        gateway.lose_sample()
         setpoints = []
         for late_ns in (900_000, 0, 5_000_000):
             gateway.deadline(late_ns)

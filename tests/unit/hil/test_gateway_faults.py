@@ -168,7 +168,9 @@ class TestStaleness:
         for _ in range(20):
             gateway.deadline()
             gateway.give(ADC_UP, DAC_UP)
+            gateway.lose_sample()
             gateway.deadline()
+            gateway.lose_sample()
             gateway.deadline()
             gateway.sample()
         assert gateway.state is State.RUNNING
@@ -182,7 +184,7 @@ class TestStaleness:
         assert gateway.state is State.OFFLINE
         assert [event.severity for event in output.events] == [Severity.WARNING, Severity.INFO]
         assert texts(output)[1] == "life cycle: ready -> offline (boards lost)"
-        gateway.period()
+        gateway.periods(3)  # the board has missed four SYNCs
         assert gateway.state is State.READY
 
     def test_until_then_the_board_holds(self) -> None:
@@ -665,3 +667,78 @@ class TestReset:
         gateway.deadline()
         gateway.deadline()
         assert gateway.state is State.ARMED
+
+
+PATIENT = {"adc__stale_after_periods": "5"}
+
+
+class TestWhichSync:
+    """A sample is fresh if it answers the last SYNC; the board's counter tells."""
+
+    def test_a_late_answer_is_rejected_and_the_one_in_time_taken(self) -> None:
+        gateway = hand(State.RUNNING, **PATIENT)
+        gateway.period()
+        gateway.deadline()
+        gateway.deadline()  # the answer to the SYNC before comes only now
+        late = gateway.sample()
+        assert commands(late) == []
+        assert texts(late) == [
+            "guard: rejected: TPDO1_ADC: answers an earlier SYNC, 1 before the last: it is late, "
+            "or the board missed a SYNC"
+        ]
+        assert len(commands(gateway.sample())) == 1
+        assert SYNC in gateway.deadline().frames
+
+    def test_a_board_that_missed_a_sync_is_followed_after_a_period_without_one(self) -> None:
+        gateway = hand(State.RUNNING, **PATIENT)
+        gateway.period()
+        gateway.deadline()  # SYNC is lost: no answer
+        gateway.deadline()
+        assert commands(gateway.sample()) == []
+        output = gateway.deadline()
+        assert SYNC not in output.frames
+        assert texts(output) == ["guard: one period without SYNC, to tell late from lost"]
+        for _ in range(3):
+            assert SYNC in gateway.deadline().frames
+            assert len(commands(gateway.sample())) == 1
+
+    def test_a_link_slower_than_a_period_is_a_fault(self) -> None:
+        gateway = hand(State.RUNNING, **PATIENT)
+        gateway.period()
+        is_owed = False
+        while gateway.state is State.RUNNING:
+            was_owed, is_owed = is_owed, SYNC in gateway.deadline().frames
+            if was_owed:  # the answer to the SYNC of the period before
+                assert commands(gateway.sample()) == []
+        assert gateway.state is State.FAULT
+        assert "no good sample for" in str(gateway.core.fault_reason)
+
+    def test_an_answer_within_the_silent_period_has_its_age(self) -> None:
+        gateway = hand(State.RUNNING, **PATIENT)
+        gateway.period()
+        gateway.deadline()
+        gateway.deadline()
+        gateway.sample()
+        assert SYNC not in gateway.deadline().frames
+        late = gateway.sample()
+        assert commands(late) == []
+        assert "ms after SYNC exceeds" in gateway.core._last_rejection
+
+    @pytest.mark.parametrize("state", [State.OFFLINE, State.READY, State.ARMED])
+    def test_it_comes_back_in_every_state(self, state: State) -> None:
+        gateway = hand(state, **PATIENT)
+        gateway.period()
+        gateway.deadline()  # SYNC is lost
+        gateway.period()
+        gateway.periods(2)
+        assert gateway.state is max(state, State.READY)
+        assert gateway.period().cycle is not None
+
+    def test_a_command_that_centres_never_waits(self) -> None:
+        gateway = hand(State.RUNNING, **PATIENT)
+        gateway.period()
+        gateway.deadline()
+        gateway.deadline()
+        gateway.sample()
+        gateway.operate(Trigger.STOP)
+        assert SYNC in gateway.deadline().frames

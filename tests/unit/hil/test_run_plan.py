@@ -64,6 +64,7 @@ class TestOrder:
     def test_it_arms_when_ready_and_starts_when_armed(self) -> None:
         plan, gateway = RunPlan(1.0, PERIOD_S), hand()
         assert stepped(plan, gateway) is None
+        gateway.lose_sample()
         gateway.to(State.READY)
         assert stepped(plan, gateway) is Trigger.ARM
         assert stepped(plan, gateway) is Trigger.ARM  # as long as it is not
@@ -81,6 +82,7 @@ class TestOrder:
         plan, gateway = RunPlan(1.0, PERIOD_S), hand(State.READY)
         gateway.give(Frame(codec.HEARTBEAT_DAC, b"\x00"))
         assert stepped(plan, gateway) is None
+        gateway.lose_sample()
         gateway.to(State.READY)
         assert stepped(plan, gateway) is Trigger.ARM
 
