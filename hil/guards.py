@@ -14,6 +14,9 @@ from hil.rig import Rig
 from hil.wire import codec
 from hil.wire.crc8 import crc8_j1850
 
+FARTHEST_STEP = 127
+"""Of the counter: beyond it, it went back."""
+
 
 class SampleGuard:
     """Checks of TPDO1_ADC, in the order length, CRC, counter, which SYNC, once a period, age, range."""
@@ -65,6 +68,9 @@ class SampleGuard:
                 step = (counter - self._counter) & 0xFF
                 if step == 0:
                     return f"TPDO1_ADC: counter {counter} repeated"
+                if step > FARTHEST_STEP:
+                    before, self._counter = self._counter, counter
+                    return f"TPDO1_ADC: counter went back from {before} to {counter}: an old sample"
                 self.lost += step - 1
                 self._unanswered = max(self._unanswered - step, 0)
             else:

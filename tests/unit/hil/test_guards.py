@@ -98,6 +98,21 @@ class TestCounter:
             accepted(checks.check(sample(counter), 0, True))
         assert checks.lost == 0
 
+    def test_an_old_one_is_rejected_and_the_next_taken(self) -> None:
+        checks = guard()
+        for counter in (254, 255, 0, 1):
+            accepted(checks.check(sample(counter), 0, True))
+        assert checks.check(sample(255), 0, True) == (
+            "TPDO1_ADC: counter went back from 1 to 255: an old sample"
+        )
+        accepted(checks.check(sample(2), 0, True))
+
+    @pytest.mark.parametrize(("step", "is_accepted"), [(127, True), (128, False)])
+    def test_half_a_turn_is_the_farthest(self, step: int, is_accepted: bool) -> None:
+        checks = guard()
+        accepted(checks.check(sample(9), 0, True))
+        assert isinstance(checks.check(sample(9 + step), 0, True), list) is is_accepted
+
     @pytest.mark.parametrize("counter", [0, 7, 255])
     def test_a_repeated_one_is_rejected(self, counter: int) -> None:
         checks = guard()
@@ -106,7 +121,7 @@ class TestCounter:
         accepted(checks.check(sample(counter + 1), 0, True))
 
     @pytest.mark.parametrize(
-        ("before", "after", "lost"), [(0, 2, 1), (0, 255, 254), (254, 1, 2), (255, 1, 1)]
+        ("before", "after", "lost"), [(0, 2, 1), (0, 127, 126), (254, 1, 2), (255, 1, 1)]
     )
     def test_skipped_ones_are_counted_and_the_sample_is_good(
         self, before: int, after: int, lost: int
