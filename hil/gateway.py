@@ -102,6 +102,7 @@ class Gateway:
         self._last_rejection = ""
         self._run_began_ns: int | None = None
         self._reported_identifiers: set[int] = set()
+        self._warnings: dict[str, int] = {}
 
     @property
     def lost_samples(self) -> int:
@@ -181,6 +182,7 @@ class Gateway:
             self.fault_reason = None
             self._last_rejection = ""
             self._guard.forget()
+            self._warnings.clear()
         frames = (self._centre(),) if trigger is Trigger.STOP else ()
         return Output(frames, tuple(events))
 
@@ -298,11 +300,11 @@ class Gateway:
         text = f"EMCY 0x{emergency.error_code:04X}, error register 0x{emergency.error_register:02X}"
         if self.state in (State.ARMED, State.RUNNING):
             return self._fault(board.name, text)
-        return Output(events=(Event(Severity.WARNING, board.name, text),))
+        return self._warn(board.name, text)
 
     def _receive_unusual(self, frame: Frame) -> Output:
         if frame.is_error:
-            if frame.id & BUS_OFF:
+            if frame.id & BUS_OFF and self.state is not State.FAULT:
                 return self._fault("bus", "bus-off: check wiring, termination and bit rate")
             self.error_frames += 1
             if self.error_frames & (self.error_frames - 1):
@@ -363,6 +365,13 @@ class Gateway:
         events = [Event(Severity.FATAL, source, reason)]
         self._enter(Trigger.FAULT, events)
         return Output((self._centre(),), tuple(events))
+
+    def _warn(self, source: str, text: str) -> Output:
+        """A warning, told when the number of those from its source doubles: some come with every frame."""
+        self._warnings[source] = number = self._warnings.get(source, 0) + 1
+        return (
+            Output(events=(Event(Severity.WARNING, source, text),)) if number.bit_count() == 1 else _NOTHING
+        )
 
     def _centre(self) -> Frame:
         """Centre every valve at once; returns the command that does."""

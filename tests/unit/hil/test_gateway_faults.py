@@ -30,7 +30,7 @@ from firmware_sim.faults import AdcFaults, DacFaults
 from hil.controller_file import Pid, TransferFunction
 from hil.events import Event, Output, Severity
 from hil.frames import Frame
-from hil.gateway import MOST_REPORTED
+from hil.gateway import BUS_OFF, MOST_REPORTED
 from hil.life_cycle import State, Trigger
 from hil.wire import codec
 
@@ -421,6 +421,15 @@ class TestBoardRestart:
         bench.operate(Trigger.START)
         bench.periods(20)
         assert bench.gateway.state is State.RUNNING
+
+
+class TestBabble:
+    @pytest.mark.parametrize("frame", [emergency(0x090, 0x1001), error_frame(BUS_OFF)])
+    def test_in_fault_it_is_told_when_its_number_doubles(self, frame: Frame) -> None:
+        gateway = hand(State.RUNNING)
+        events = [event for _ in range(1024) for event in gateway.give(frame).events]
+        assert gateway.state is State.FAULT
+        assert 10 <= len(events) <= 14
 
 
 class TestEmergencies:
