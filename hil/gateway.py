@@ -136,7 +136,7 @@ class Gateway:
         if self._guard.wants_sync(may_wait=is_settled):
             self._sync_ns = now_ns
             frames.append(_SYNC_FRAME)
-        else:
+        elif self.state is not State.OFFLINE:
             events.append(Event(Severity.WARNING, "guard", "one period without SYNC, to tell late from lost"))
         if self._number >= self._heartbeat_number:
             self._heartbeat_number = self._number + self._rig.gateway.heartbeat_periods

@@ -2,7 +2,8 @@
 
 Fresh is what answers the last SYNC. A board counts its answers, so an answer to an earlier SYNC is told by
 the counter, however soon after the last one it comes. Either it is late, or a SYNC was lost and every answer
-looks late: one period without SYNC decides. Boards without a counter are judged by age alone.
+looks late: one period without SYNC decides. Until an answer has come in time, only one SYNC at once is under
+way, so that a link slower than a period never looks fresh. Later, boards without a counter are judged by age.
 
 A rejected sample is reported with its reason and counts as none. Nothing here decides what a missing sample
 means: the gateway does.
@@ -16,6 +17,8 @@ from hil.wire.crc8 import crc8_j1850
 
 FARTHEST_STEP = 127
 """Of the counter: beyond it, it went back."""
+FIRST_ANSWER_PERIODS = 5
+"""At first, and after a restart, SYNC waits so long for the answer to the one before."""
 
 
 class SampleGuard:
@@ -31,24 +34,31 @@ class SampleGuard:
         )
         self._counter: int | None = None
         self._unanswered = 0
+        self._is_matched = False
         self._is_behind = False
         self._is_waiting = False
+        self._silent_periods = 0
         self.lost = 0
         """Frames that the counter says were sent and did not come, or not intact."""
 
     def forget(self) -> None:
         """Expect any counter next: the board has restarted."""
         self._counter = None
-        self._is_behind = False
+        self._unanswered = 0
+        self._is_matched = self._is_behind = False
 
     def wants_sync(self, may_wait: bool) -> bool:
         """Begin a period; False where it should pass without SYNC, which needs ``may_wait``."""
-        if self._is_behind and may_wait and not self._is_waiting:
+        expects_first = not self._is_matched and self._silent_periods < FIRST_ANSWER_PERIODS
+        is_unclear = self._is_behind and not self._is_waiting
+        if may_wait and self._unanswered > 0 and (expects_first or is_unclear):
             self._is_waiting = True
+            self._silent_periods += 1
             return False
-        if self._is_waiting and self._is_behind:
+        if not self._is_matched or (self._is_waiting and self._is_behind):
             self._unanswered = 0  # nothing came late: the board had missed a SYNC
         self._is_behind = self._is_waiting = False
+        self._silent_periods = 0
         self._unanswered += 1
         return True
 
@@ -82,6 +92,8 @@ class SampleGuard:
                     f"TPDO1_ADC: answers an earlier SYNC, {self._unanswered} before the last: it is late, "
                     "or the board missed a SYNC"
                 )
+        else:
+            self._unanswered = 0
         if not is_first:
             return "TPDO1_ADC: not the first sample since SYNC"
         if age_ns > self._period_ns:
@@ -89,6 +101,7 @@ class SampleGuard:
                 f"TPDO1_ADC: {age_ns / 1e6:.2f} ms after SYNC exceeds {self._period_ns / 1e6:g} ms "
                 "(rig: loop.period_s)"
             )
+        self._is_matched = True
         sample = codec.decode_tpdo1_adc(data if self._protected else data + b"\0\0")
         volts = [sample[channel] for channel, _, _, _ in self._channels]
         for value, (_, lowest, highest, axis) in zip(volts, self._channels, strict=True):

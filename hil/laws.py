@@ -65,8 +65,11 @@ def check_law_runs(law: Law, sample_time_s: float, source: str) -> None:
             f"{source}: law: its state space at {sample_time_s} s has a coefficient of {largest:.3g}, over "
             f"{LARGEST_COEFFICIENT:g}; scale it"
         )
-    conditioned = A - anti_windup_gain(A, B, C, D) @ C
-    if np.any(np.abs(np.linalg.eigvals(conditioned)) > 1.0 - 1e-10):
+    try:
+        conditioned = A - anti_windup_gain(A, B, C, D) @ C
+    except np.linalg.LinAlgError:
+        conditioned = np.full_like(A, np.inf)
+    if not np.all(np.isfinite(conditioned)) or np.any(np.abs(np.linalg.eigvals(conditioned)) > 1.0 - 1e-10):
         raise DocumentError(
             f"{source}: law: a mode that does not decay is not seen in its output or not moved by its input; "
             "nothing would stop it while the valve is limited: give a minimal realisation"

@@ -18,6 +18,7 @@ from hil.controller_file import Law, Pid
 from hil.events import Cycle, Event, Output, Severity
 from hil.frames import Frame
 from hil.gateway import Gateway
+from hil.guards import FIRST_ANSWER_PERIODS
 from hil.laws import ControlLaw
 from hil.life_cycle import State, Trigger
 from hil.rig import Rig, read_rig
@@ -196,7 +197,9 @@ class HandGateway:
         if state is State.FAULT:
             self.told.add(self.core.link_failed("test"))
             return self
-        self.period()
+        for _ in range(FIRST_ANSWER_PERIODS + 1):
+            if self.state is State.OFFLINE:
+                self.period()
         if state is not State.READY:
             self.operate(Trigger.ARM)
         if state is State.RUNNING:

@@ -203,7 +203,8 @@ class Subject:
         # A period may pass without SYNC, never two, and never one whose command has to be applied.
         has_sync = SYNC in output.frames
         assert output.frames.count(SYNC) <= 1
-        assert has_sync or (self.had_sync and state is self.state_before and state is not State.FAULT)
+        assert has_sync or (state is self.state_before and state is not State.FAULT)
+        assert has_sync or self.had_sync or state is State.OFFLINE
         self.had_sync, self.state_before = has_sync, self.core.state
         # The next one lies on the same grid, ahead, and at most a period away from the present or the due.
         assert (self.core.next_deadline_ns - due_ns) % PERIOD_NS == 0

@@ -157,7 +157,7 @@ def test_valves_are_centred_every_period_in_every_state_but_running(state: State
     for k in range(20):
         output = gateway.deadline()
         assert commands(output) == [CENTRED]
-        assert output.frames[0] == SYNC
+        assert output.frames[0] == SYNC or state is State.OFFLINE
         if state is not State.OFFLINE:
             gateway.give(ADC_UP, DAC_UP)
             assert commands(gateway.sample((5.0 + 0.1 * k, 4.0, 6.0))) == []

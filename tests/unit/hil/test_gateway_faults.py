@@ -722,6 +722,21 @@ class TestWhichSync:
         assert gateway.state is State.FAULT
         assert "no good sample for" in str(gateway.core.fault_reason)
 
+    @pytest.mark.parametrize("late_periods", [1, 3])
+    @pytest.mark.parametrize("protected", ["true", "false"])
+    def test_a_link_slow_from_the_beginning_is_never_ready(self, late_periods: int, protected: str) -> None:
+        gateway = hand(adc__protected=protected)
+        due: list[int] = []
+        for number in range(200):
+            if SYNC in gateway.deadline().frames:
+                due.append(number + late_periods)
+            gateway.give(ADC_UP, DAC_UP)
+            while due and due[0] <= number:
+                due.pop(0)
+                gateway.sample()
+        assert gateway.state is State.OFFLINE
+        assert gateway.core.rejected_frames > 30
+
     def test_an_answer_within_the_silent_period_has_its_age(self) -> None:
         gateway = hand(State.RUNNING, **PATIENT)
         gateway.period()
