@@ -230,6 +230,8 @@ def _tell(console: Console, design: Design, directory: Path) -> int:
         )
     for note in design.notes:
         console.print(f"not compared: {note}")
+    for hint in design.hints():
+        console.print(hint, style="yellow")
     warnings = design.warnings()
     for warning in warnings:
         console.print(warning, style="red")

@@ -174,7 +174,7 @@ class Problem:
             settling_s=float(q.settling_s[0]),
             error=float(q.error[0]),
             crossover_rad_s=float(q.true_frequency(margins.crossover(q.open))[0]),
-            bandwidth_rad_s=float(q.true_frequency(margins.bandwidth(q.G, K))[0]),
+            bandwidth_rad_s=float(q.true_frequency(margins.bandwidth(q.G, K, q.K.num_r))[0]),
             gain_margin=float(margins.gain_margins(q.open)[1][0]),
             phase_margin_rad=float(margins.phase_margin(q.open)[0]),
             disturbance_peak=float(margins.disturbance_peak(q.G, K)[0]),

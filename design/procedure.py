@@ -79,6 +79,15 @@ class Design:
         """Its margin, in the loop designed for."""
         return self.problem.eps(self.measures[0])
 
+    def hints(self) -> list[str]:
+        """Parameters that the search left at an end of their box."""
+        return [
+            f"{', '.join(names)} of the {what} end at a wall of their box: widen it, unless that is wanted, "
+            "or see whether the plant is in other units than its file says"
+            for what, names in (("weight", self.weight.at_walls), ("controller", self.synthesis.at_walls))
+            if names
+        ]
+
     def warnings(self) -> list[str]:
         """What speaks against running this controller, or asks for another design (steps 5 and 9)."""
         found = []

@@ -17,10 +17,16 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     plant.add_argument(
         "--linear", action="store_true", help="eq. (15) on every axis in place of the pneumatic arm"
     )
-    plant.add_argument(
+    parser.add_argument(
         "--scenario", metavar="NAME", help="an experiment on the arm: fig13, fig14, fig15, or a TOML file"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the potentiometers' noise (0)")
+
+
+def check_plant_options(options: argparse.Namespace) -> None:
+    """Refuse options that exclude each other. Raises DocumentError."""
+    if options.linear and options.scenario is not None:
+        raise DocumentError("--scenario is an experiment on the pneumatic arm; --linear has none")
 
 
 def plant_arguments(options: argparse.Namespace) -> list[str]:
@@ -37,6 +43,7 @@ def plant_arguments(options: argparse.Namespace) -> list[str]:
 
 def build_plant(rig: Rig, options: argparse.Namespace) -> tuple[Plant, str]:
     """The plant that ``options`` ask for, and what it is in words. Raises DocumentError."""
+    check_plant_options(options)
     if options.linear:
         from firmware_sim.linear_plant import LinearPlant
 

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_sim.plant_options import add_plant_options
+from firmware_sim.plant_options import add_plant_options, check_plant_options
 from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
 from hil.errors import DocumentError, HilError
 from hil.recording.recorder import RecorderReport
@@ -31,6 +31,7 @@ LINEAR_CONTROLLERS = {"m": "ppid", "rad": "ppid_rad"}
 def main(argv: list[str]) -> int:
     """Run, then tell how it went. 0: completed or interrupted; 1: fault, no boards, or a lost link."""
     options = _parser().parse_args(argv)
+    check_plant_options(options)
     scenario, scenario_text = _scenario(options)
     setup = _setup(options, scenario, scenario_text)
     bus = options.bus or setup.rig.bus.channel

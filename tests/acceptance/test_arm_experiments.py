@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support.arm_bench import PERIOD_S, identify, prbs
 
+import firmware_sim.arm
 from hil.cli import main
 from hil.life_cycle import State
 from hil.recording.mcap_reader import Rows
@@ -135,3 +136,13 @@ def test_the_same_run_twice_gives_the_same_bytes(tmp_path: Path) -> None:
         run(tmp_path / f"{name}.mcap", "--scenario", "fig15", "--duration", "2", "--seed", seed)
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
     assert (tmp_path / "one.mcap").read_bytes() != (tmp_path / "other.mcap").read_bytes()
+
+
+def test_an_experiment_takes_an_arm_of_ones_own(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    own = tmp_path / "arm.toml"
+    own.write_text((Path(firmware_sim.arm.__file__).parent / "arm.toml").read_text())
+    arguments = ["run", "--lockstep", "--duration", "1", "--scenario", "fig14", "--record", str(path)]
+    assert main([*arguments, "--arm", str(own)]) == 0
+    assert {"arm.toml", "scenario.toml"} <= Recording(path).attachments.keys()
+    assert main([*arguments, "--linear"]) == 2

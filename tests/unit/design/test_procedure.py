@@ -113,3 +113,15 @@ def test_progress_of_both_stages() -> None:
         best = [progress.best_fitness for progress, _ in steps]
         assert best == sorted(best)
         assert all(progress.evaluations <= total == 300 for progress, total in steps)
+
+
+def test_parameters_at_a_wall_of_their_box_are_told() -> None:
+    assert continuous_design().hints() == []
+    narrow = read_design(
+        "[search]\nweight_evaluations = 300\n[controller.box]\nkp = { low = 1.0, high = 2.0 }\n",
+        "design.toml",
+    )
+    hints = carry_out(narrow, paper_plant()).hints()
+    assert len(hints) == 1
+    assert hints[0].startswith("kp")
+    assert "of the controller end at a wall of their box" in hints[0]
