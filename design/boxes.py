@@ -73,6 +73,8 @@ AnyStructure = TypeVar("AnyStructure")
 
 def with_boxes(structure: AnyStructure, boxes: Mapping[str, Parameter]) -> AnyStructure:
     """The same structure with other boxes or codings for some of its parameters. Raises DesignError."""
+    if not boxes:
+        return structure
     parameters: tuple[Parameter, ...] = structure.parameters  # type: ignore[attr-defined]
     unknown = set(boxes) - {parameter.name for parameter in parameters}
     if unknown:

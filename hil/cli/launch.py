@@ -145,7 +145,7 @@ def _boards_process(spec: str, options: argparse.Namespace) -> Iterator[None]:
 
 def _stop_on_signals() -> StopRequest:
     stop = StopRequest()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, stop.set)
     return stop
 

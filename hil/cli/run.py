@@ -128,7 +128,7 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
     except HilError as error:
         console.print(f"no summary: {error}", style="yellow")
     if plan.ending in (Ending.COMPLETED, Ending.INTERRUPTED):
-        return 0
+        return 1 if report.failure else 0
     if plan.ending is Ending.NO_BOARDS:
         console.print(
             "The boards did not come up: no heartbeat from both and no good sample. Is the bus right "
