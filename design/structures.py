@@ -78,12 +78,12 @@ class TustinLaw(ABC):
 def tustin_law(controller: Controller, period_s: float) -> Law:
     """One controller (1, k) by Tustin's rule: a transfer function, or a state space where that keeps digits.
 
-    Beyond second order the coefficients in z of slow poles lie too close together; two degrees of freedom
+    Beyond first order the coefficients in z of slow poles lie too close together; two degrees of freedom
     need a state space in any case.
     """
     num, den, num_r = (np.atleast_2d(p) for p in controller)
     one_degree = np.array_equal(num, num_r)
-    if one_degree and den.shape[-1] <= 3:
+    if one_degree and den.shape[-1] <= 2:
         feedback = to_z(TransferFunction(num, den), period_s)
         return TransferFunctionLaw(num=feedback.num[0].tolist(), den=feedback.den[0].tolist())
     inputs = (num,) if one_degree else (num_r, -num)

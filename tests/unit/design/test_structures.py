@@ -73,7 +73,18 @@ def test_what_the_daemon_runs_has_the_margin_that_was_designed(name: str) -> Non
 def test_laws_are_the_plainest_that_will_do() -> None:
     kinds = {name: type(STRUCTURES[name].law(EXPECTED[name][0], PERIOD_S)) for name in STRUCTURES}
     assert kinds["pid"] is kinds["pid-2dof"] is kinds["p"] is Pid
-    assert kinds["lead-lag"] is kinds["pi-lead"] is TransferFunctionLaw
+    assert kinds["lead-lag"] is TransferFunctionLaw
+    assert kinds["pi-lead"] is StateSpace, "two poles near z = 1 lose digits as a polynomial"
+
+
+def test_a_law_of_slow_poles_keeps_its_margin() -> None:
+    structure = STRUCTURES["pi-lead"]
+    generator = np.random.default_rng(1)
+    for values in 10.0 ** generator.uniform(-2.0, 2.0, (60, len(structure.parameters))):
+        designed = structure.controller(values[None, :])
+        running = controller_of_law(structure.law(values, 0.001), 0.001)
+        margin = stability_margin(G, designed.feedback, W1)[0]
+        assert stability_margin(G, running.feedback, W1)[0] == pytest.approx(margin, rel=1e-6, abs=1e-9)
 
 
 def test_a_loop_shaping_controller_keeps_its_digits_as_a_law() -> None:
