@@ -33,6 +33,8 @@ _REJECTED_CRC: Final = 1
 _REJECTED_COUNTER: Final = 2
 _REJECTED_RANGE: Final = 3
 """Vendor codes of EMCY 0x8200: why a command was rejected."""
+_FARTHEST_STEP: Final = 127
+"""Of the counter of commands: beyond it, it went back, and the command is an old one."""
 
 
 class AdcBoard(CanopenSlave[AdcFaults]):
@@ -150,8 +152,10 @@ class DacBoard(CanopenSlave[DacFaults]):
             if error.reason == RejectedPdoError.LENGTH:
                 return self._report(ErrorCode.PDO_LENGTH, vendor_value=len(data))
             return self._report(ErrorCode.PROTOCOL, _REJECTED_CRC, data[7])
-        if counter is not None and counter == self._counter:
-            return self._report(ErrorCode.PROTOCOL, _REJECTED_COUNTER, counter)
+        if counter is not None and self._counter is not None:
+            step = (counter - self._counter) & 0xFF
+            if step == 0 or step > _FARTHEST_STEP:
+                return self._report(ErrorCode.PROTOCOL, _REJECTED_COUNTER, counter)
         if first < 0 or second < 0 or third < 0:
             return self._report(ErrorCode.PROTOCOL, _REJECTED_RANGE)
         self._counter = counter

@@ -25,6 +25,26 @@ class Event(NamedTuple):
     text: str
 
 
+class Moderator:
+    """Keeps what comes with every frame from filling a recording: tells the first few of a kind, then those
+    at which its number doubles.
+    """
+
+    FIRST = 8
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+
+    def lets(self, kind: str) -> bool:
+        """Count one more of ``kind``; whether it is to be told."""
+        self._numbers[kind] = number = self._numbers.get(kind, 0) + 1
+        return number <= self.FIRST or number.bit_count() == 1
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._numbers.clear()
+
+
 class AxisSignals(NamedTuple):
     """One axis in one period. r, y, e in the axis' unit; voltages in volts."""
 

@@ -13,18 +13,17 @@ its command goes before SYNC, so that a board which applies at SYNC does not hol
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
-from hil.events import AxisSignals, Cycle, Event, Output, Severity
+from hil.axis_loops import AxisLoops
+from hil.events import Cycle, Event, Moderator, Output, Severity
 from hil.frames import Frame
-from hil.guards import SampleGuard
+from hil.guards import SampleGuard, Unasked
 from hil.laws import ControlLaw
 from hil.life_cycle import OPERATOR_TRIGGERS, State, Trigger, allowed_triggers, next_state
-from hil.limits import ValveCommands
 from hil.rig import Rig
 from hil.setpoints import Setpoint
-from hil.supervision import BoardWatch, NmtState
+from hil.supervision import BoardWatch, NmtState, describe_emergency
 from hil.wire import codec
 
 ADC_NODE, DAC_NODE = 0x10, 0x20
@@ -46,20 +45,6 @@ _SYNC_FRAME = Frame(codec.SYNC)
 _NOTHING = Output()
 
 
-class _Axis:
-    """One loop: its setpoint, its law, and the scaling of its potentiometer."""
-
-    __slots__ = ("law", "name", "position", "setpoint", "signals")
-
-    def __init__(self, rig: Rig, name: str, law: ControlLaw, setpoint: Setpoint) -> None:
-        axis = rig.axes[name]
-        self.name = name
-        self.law = law
-        self.setpoint = setpoint.at
-        self.position = axis.potentiometer.position
-        self.signals = AxisSignals(math.nan, math.nan, math.nan, 0.0, axis.valve.centre_v, math.nan)
-
-
 class Gateway:
     """The state machine. ``laws`` and ``setpoints`` are by axis name; times are monotonic nanoseconds."""
 
@@ -72,11 +57,8 @@ class Gateway:
     ) -> None:
         self._rig = rig
         self._period_ns = period_ns = rig.loop.period_ns
-        self._axes = tuple(_Axis(rig, name, laws[name], setpoints[name]) for name in rig.axes)
+        self._loops = AxisLoops(rig, laws, setpoints)
         self._guard = SampleGuard(rig)
-        self._valves = ValveCommands(
-            [axis.valve for axis in rig.axes.values()], rig.loop.period_s, rig.dac.protected
-        )
         self._adc = BoardWatch(
             "adc", ADC_NODE, rig.adc.heartbeat_timeout_periods * period_ns, "adc.heartbeat_timeout_periods"
         )
@@ -100,9 +82,10 @@ class Gateway:
         self._has_sample = True
         self._stale_periods = 0
         self._last_rejection = ""
-        self._run_began_ns: int | None = None
         self._reported_identifiers: set[int] = set()
-        self._warnings: dict[str, int] = {}
+        self._moderator = Moderator()
+        self._started_boards: set[str] = set()
+        """Those sent an NMT start in this period: one is enough, whatever their heartbeats say."""
 
     @property
     def lost_samples(self) -> int:
@@ -129,6 +112,7 @@ class Gateway:
         self._deadline_ns = deadline_ns
         self._wake_ns = now_ns
         self._has_sample = False
+        self._started_boards.clear()
         self.next_deadline_ns = deadline_ns + self._period_ns
         # A command that centres the valves, as every change of state may, never waits for its SYNC.
         is_settled = self.state is self._state_before and self.state is not State.FAULT
@@ -144,8 +128,7 @@ class Gateway:
                 Frame(codec.HEARTBEAT_GATEWAY, codec.encode_heartbeat_gateway(NmtState.OPERATIONAL))
             )
         if self.state is not State.RUNNING:
-            self._valves.centre()
-            frames.append(self._valves.frame())
+            frames.append(self._loops.centre())
         return Output(tuple(frames), tuple(events), cycle)
 
     def receive(self, frame: Frame, now_ns: int) -> Output:
@@ -177,13 +160,13 @@ class Gateway:
         events: list[Event] = []
         self._enter(trigger, events)
         if trigger is Trigger.START:
-            self._run_began_ns = None
+            self._loops.begin_anew()
         elif trigger is Trigger.RESET:
             self.fault_reason = None
             self._last_rejection = ""
             self._guard.forget()
-            self._warnings.clear()
-        frames = (self._centre(),) if trigger is Trigger.STOP else ()
+            self._moderator.forget()
+        frames = (self._loops.centre(),) if trigger is Trigger.STOP else ()
         return Output(frames, tuple(events))
 
     def link_failed(self, reason: str) -> Output:
@@ -198,6 +181,11 @@ class Gateway:
         checked = self._guard.check(data, now_ns - self._sync_ns, not self._has_sample)
         if self._guard.lost != lost_before:
             self._report_lost(lost_before, events)
+        if isinstance(checked, Unasked):
+            self.rejected_frames += 1
+            unasked: list[Frame] = []
+            self._lose("adc", checked, unasked, events)
+            return Output(tuple(unasked), tuple(events))
         if isinstance(checked, str):
             return Output(events=(*events, *self._reject(checked).events))
         self._has_sample = True
@@ -206,39 +194,15 @@ class Gateway:
         frames: tuple[Frame, ...] = ()
         if self.state is State.OFFLINE and self._adc.is_up and self._dac.is_up:
             self._enter(Trigger.BOARDS_UP, events)
-        if self.state is State.RUNNING:
-            culprit = self._control(checked)
-            if culprit is None:
-                frames = (self._valves.frame(),)
-            else:
-                r, y, _, u, _, _ = culprit.signals
-                fault = self._fault(culprit.name, f"control law gave {u} V at setpoint {r:g}, position {y:g}")
-                frames, events = fault.frames, [*events, *fault.events]
+        if self.state is not State.RUNNING:
+            self._loops.observe(checked)
+        elif (culprit := self._loops.control(checked, self._deadline_ns)) is None:
+            frames = (self._loops.command(),)
         else:
-            centres = self._valves.volts
-            for axis, volts, centre_v in zip(self._axes, checked, centres, strict=True):
-                y = axis.position(volts)
-                axis.signals = AxisSignals(y, y, 0.0, 0.0, centre_v, volts)
+            r, y, _, u, _, _ = culprit.signals
+            fault = self._fault(culprit.name, f"control law gave {u} V at setpoint {r:g}, position {y:g}")
+            frames, events = fault.frames, [*events, *fault.events]
         return Output(frames, tuple(events), self._cycle(now_ns, True))
-
-    def _control(self, volts: list[float]) -> _Axis | None:
-        """Run every law on its sample and limit its output; returns the axis whose output is not finite."""
-        is_first = self._run_began_ns is None
-        if self._run_began_ns is None:
-            self._run_began_ns = self._deadline_ns
-        t = (self._deadline_ns - self._run_began_ns) / 1e9
-        for index, (axis, measured) in enumerate(zip(self._axes, volts, strict=True)):
-            r, y = axis.setpoint(t), axis.position(measured)
-            if is_first:
-                axis.law.initialise(r, y, 0.0)
-            u = axis.law.output(r, y)
-            is_finite = math.isfinite(u)
-            if is_finite:
-                axis.law.advance(self._valves.command(index, u))
-            axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured)
-            if not is_finite:
-                return axis
-        return None
 
     def _close_period(self, skipped: int, frames: list[Frame], events: list[Event]) -> Cycle | None:
         """Account for a period that ends without a good sample, and for deadlines that were missed."""
@@ -269,7 +233,7 @@ class Gateway:
             receive_ns,
             self.state,
             fresh,
-            tuple([axis.signals for axis in self._axes]),
+            self._loops.signals,
         )
 
     # Everything that is not a sample
@@ -282,13 +246,17 @@ class Gateway:
         frames: list[Frame] = []
         events: list[Event] = []
         if board.nmt_state != before:
-            events.append(Event(Severity.INFO, board.name, board.describe()))
+            events.extend(
+                self._tell(Severity.INFO, board.name, board.describe(), kind=f"{board.name} state").events
+            )
         if start is not None:
             if board is self._adc:
                 self._guard.forget()
             if was_up:
                 self._lose(board.name, f"left operational: {board.describe()}", frames, events)
-            frames.append(start)
+            if board.name not in self._started_boards:
+                self._started_boards.add(board.name)
+                frames.append(start)
         return Output(tuple(frames), tuple(events))
 
     def _receive_emergency(self, board: BoardWatch, data: bytes) -> Output:
@@ -296,21 +264,18 @@ class Gateway:
             return self._reject(f"EMCY of {board.name} has {len(data)} bytes, not {codec.EMCY_ADC_LENGTH}")
         emergency = codec.decode_emcy_adc(data)
         if emergency.error_code == 0:
-            return Output(events=(Event(Severity.INFO, board.name, "EMCY: no error"),))
-        text = f"EMCY 0x{emergency.error_code:04X}, error register 0x{emergency.error_register:02X}"
+            return self._tell(Severity.INFO, board.name, "EMCY: no error")
+        text = describe_emergency(emergency.error_code, emergency.error_register, data[3:])
         if self.state in (State.ARMED, State.RUNNING):
             return self._fault(board.name, text)
-        return self._warn(board.name, text)
+        return self._tell(Severity.WARNING, board.name, text)
 
     def _receive_unusual(self, frame: Frame) -> Output:
         if frame.is_error:
             if frame.id & BUS_OFF and self.state is not State.FAULT:
                 return self._fault("bus", "bus-off: check wiring, termination and bit rate")
             self.error_frames += 1
-            if self.error_frames & (self.error_frames - 1):
-                return _NOTHING  # reported when their number doubles
-            text = f"error frame {frame}, {self.error_frames} so far"
-            return Output(events=(Event(Severity.WARNING, "bus", text),))
+            return self._tell(Severity.WARNING, "bus", f"error frame {frame}, {self.error_frames} so far")
         return self._report_unexpected(frame)
 
     def _receive_foreign(self, frame: Frame) -> Output:
@@ -329,11 +294,10 @@ class Gateway:
         return Output(events=(Event(Severity.WARNING, "bus", text),))
 
     def _report_lost(self, lost_before: int, events: list[Event]) -> None:
-        """Samples that the counter missed, reported when their number doubles."""
+        """Samples that the counter missed."""
         lost = self._guard.lost
-        if lost.bit_length() > lost_before.bit_length():
-            text = f"TPDO1_ADC: counter skipped {lost - lost_before}, {lost} so far"
-            events.append(Event(Severity.WARNING, "guard", text))
+        text = f"TPDO1_ADC: counter skipped {lost - lost_before}, {lost} so far"
+        events.extend(self._tell(Severity.WARNING, "guard", text, kind="lost").events)
 
     def _reject(self, reason: str) -> Output:
         self.rejected_frames += 1
@@ -341,7 +305,8 @@ class Gateway:
         self._last_rejection = reason
         if is_repeated:
             return _NOTHING  # one report until a good sample comes
-        return Output(events=(Event(Severity.WARNING, "guard", f"rejected: {reason}"),))
+        number = f" ({self.rejected_frames} so far)" if self.rejected_frames > Moderator.FIRST else ""
+        return self._tell(Severity.WARNING, "guard", f"rejected{number}: {reason}")
 
     # Life cycle
 
@@ -353,7 +318,7 @@ class Gateway:
             events.extend(fault.events)
             return
         if self.state is not State.FAULT:
-            events.append(Event(Severity.WARNING, source, reason))
+            events.extend(self._tell(Severity.WARNING, source, reason).events)
         if self.state is State.READY:
             self._enter(Trigger.BOARDS_LOST, events)
 
@@ -364,21 +329,13 @@ class Gateway:
         self.fault_reason = f"{source}: {reason}"
         events = [Event(Severity.FATAL, source, reason)]
         self._enter(Trigger.FAULT, events)
-        return Output((self._centre(),), tuple(events))
+        return Output((self._loops.centre(),), tuple(events))
 
-    def _warn(self, source: str, text: str) -> Output:
-        """A warning, told when the number of those from its source doubles: some come with every frame."""
-        self._warnings[source] = number = self._warnings.get(source, 0) + 1
-        return (
-            Output(events=(Event(Severity.WARNING, source, text),)) if number.bit_count() == 1 else _NOTHING
-        )
-
-    def _centre(self) -> Frame:
-        """Centre every valve at once; returns the command that does."""
-        self._valves.centre()
-        for axis, centre_v in zip(self._axes, self._valves.volts, strict=True):
-            axis.signals = axis.signals._replace(command_v=centre_v)
-        return self._valves.frame()
+    def _tell(self, severity: Severity, source: str, text: str, kind: str = "") -> Output:
+        """What may come with every frame, as far as the moderator lets it; counted by source, or ``kind``."""
+        if not self._moderator.lets(kind or f"{severity} {source}"):
+            return _NOTHING
+        return Output(events=(Event(severity, source, text),))
 
     def _enter(self, trigger: Trigger, events: list[Event]) -> None:
         after = next_state(self.state, trigger)

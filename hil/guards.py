@@ -4,6 +4,7 @@ Fresh is what answers the last SYNC. A board counts its answers, so an answer to
 the counter, however soon after the last one it comes. Either it is late, or a SYNC was lost and every answer
 looks late: one period without SYNC decides. Until an answer has come in time, only one SYNC at once is under
 way, so that a link slower than a period never looks fresh. Later, boards without a counter are judged by age.
+A board that counts more answers than it was asked for is not alone, or answers later than any guard can tell.
 
 A rejected sample is reported with its reason and counts as none. Nothing here decides what a missing sample
 means: the gateway does.
@@ -19,6 +20,10 @@ FARTHEST_STEP = 127
 """Of the counter: beyond it, it went back."""
 FIRST_ANSWER_PERIODS = 5
 """At first, and after a restart, SYNC waits so long for the answer to the one before."""
+
+
+class Unasked(str):
+    """The reason of a rejection that is more than a lost sample: what is fresh can no longer be told."""
 
 
 class SampleGuard:
@@ -79,10 +84,16 @@ class SampleGuard:
                 if step == 0:
                     return f"TPDO1_ADC: counter {counter} repeated"
                 if step > FARTHEST_STEP:
-                    before, self._counter = self._counter, counter
-                    return f"TPDO1_ADC: counter went back from {before} to {counter}: an old sample"
+                    return f"TPDO1_ADC: counter went back from {self._counter} to {counter}: an old sample"
+                if step > self._unanswered:
+                    before, awaited = self._counter, self._unanswered
+                    self.forget()
+                    return Unasked(
+                        f"TPDO1_ADC: counter {counter} after {before}, but {awaited} SYNC unanswered: "
+                        "another node sends it too, or the board sends unasked, or later than two periods"
+                    )
                 self.lost += step - 1
-                self._unanswered = max(self._unanswered - step, 0)
+                self._unanswered -= step
             else:
                 self._unanswered = 0
             self._counter = counter

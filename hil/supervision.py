@@ -1,4 +1,4 @@
-"""Supervision of one board after CiA 301: boot-up, NMT state, heartbeat time-out."""
+"""Supervision of one board after CiA 301: boot-up, NMT state, heartbeat time-out, EMCY in words."""
 
 from __future__ import annotations
 
@@ -8,6 +8,58 @@ from hil.frames import Frame
 from hil.wire import codec
 
 NMT_START = 1
+
+EMERGENCIES = {
+    0x1000: "generic error",
+    0x2000: "current",
+    0x2100: "current at the device's input",
+    0x2200: "current inside the device",
+    0x2300: "current at the device's output",
+    0x3000: "voltage",
+    0x3100: "mains voltage",
+    0x3200: "voltage inside the device",
+    0x3300: "output voltage",
+    0x4000: "temperature",
+    0x4100: "ambient temperature",
+    0x4200: "device temperature",
+    0x5000: "device hardware",
+    0x6000: "device software",
+    0x6100: "internal software",
+    0x6200: "user software",
+    0x6300: "data set",
+    0x7000: "additional modules",
+    0x8000: "monitoring",
+    0x8100: "communication",
+    0x8110: "CAN overrun, frames lost",
+    0x8120: "CAN in error passive mode",
+    0x8130: "heartbeat or life guard error",
+    0x8140: "recovered from bus-off",
+    0x8150: "collision of identifiers",
+    0x8200: "protocol error",
+    0x8210: "PDO not processed: too short",
+    0x8220: "PDO too long",
+    0x8230: "multiplexed PDO not processed",
+    0x8240: "SYNC of unexpected length",
+    0x8250: "RPDO did not come in time",
+    0x9000: "external error",
+    0xF000: "additional functions",
+    0xFF00: "device specific",
+}
+"""CiA 301, table of emergency error codes; the last two digits, or three, may say more."""
+
+
+def describe_emergency(error_code: int, error_register: int, vendor: bytes) -> str:
+    """An EMCY object in words. ``vendor`` are its last five bytes, told where they say anything."""
+    known = next(
+        (
+            EMERGENCIES[error_code & mask]
+            for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000)
+            if error_code & mask in EMERGENCIES
+        ),
+        "unknown error",
+    )
+    text = f"EMCY 0x{error_code:04X} ({known}), error register 0x{error_register:02X}"
+    return f"{text}, vendor bytes {vendor.hex(' ').upper()}" if any(vendor) else text
 
 
 class NmtState(IntEnum):

@@ -15,6 +15,7 @@ FLOORS = {
     "hil.errors": 0,
     "hil.events": 0,
     "hil.frames": 0,
+    "hil.axis_loops": 1,
     "hil.controller_file": 1,
     "hil.documents": 1,
     "hil.guards": 1,

@@ -82,7 +82,7 @@ def test_any_other_length_is_caught(protected: bool, length: int) -> None:
 def test_emergencies_read_by_cantools(board: str, node: int) -> None:
     message = DATABASE.get_message_by_name(f"EMCY_{board}")
     assert message.frame_id == codec.EMERGENCY_ID + node
-    read = message.decode(codec.encode_emergency(0x8130, 0x11, 7, 0x01020304))
+    read = message.decode(codec.encode_emergency(0x8130, 0x11, 7, 0x01020304), decode_choices=False)
     assert read == {
         "ErrorCode": 0x8130,
         "ErrorRegister": 0x11,

@@ -216,9 +216,11 @@ class TestCommands:
             (Frame(0x220, b""), 0x8210),
             (Frame(0x220, command((6, 6, 6), 1).data[:7] + b"\x00"), 0x8200),
             (command((6, 6, 6), 0), 0x8200),
+            (command((6, 6, 6), 255), 0x8200),
+            (command((6, 6, 6), 128), 0x8200),
             (Frame(0x220, encode_values((20000, -1, 20000), 1)), 0x8200),
         ],
-        ids=["7 bytes", "empty", "CRC", "counter repeated", "negative"],
+        ids=["7 bytes", "empty", "CRC", "counter repeated", "counter back", "farthest back", "negative"],
     )
     def test_a_bad_command_is_rejected_and_told_once_until_a_good_one(self, bad: Frame, code: int) -> None:
         bench = Bench(with_dac(apply="at once")).started()
@@ -228,6 +230,12 @@ class TestCommands:
         assert bench.give(bad) == []
         assert bench.valve_v == applied
         assert [emergency(frame) for frame in bench.command(6.25, 5.0, 5.0)] == [(0x20, 0, 0)]
+        assert bench.valve_v == (6.25, 5.0, 5.0)
+
+    def test_commands_may_be_lost_on_the_way(self) -> None:
+        bench = Bench(with_dac(apply="at once")).started()
+        bench.give(command((5.5, 5.5, 5.5), 0))
+        assert bench.give(command((6.25, 5.0, 5.0), 127)) == []
         assert bench.valve_v == (6.25, 5.0, 5.0)
 
     def test_unprotected_commands_are_six_bytes_and_may_repeat(self) -> None:

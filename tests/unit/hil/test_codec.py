@@ -11,6 +11,7 @@ from typing import Any
 import cantools
 import pytest
 
+from hil.supervision import EMERGENCIES
 from hil.wire import codec
 from hil.wire.compile_dbc import compile_dbc
 from hil.wire.crc8 import crc8_j1850
@@ -35,6 +36,15 @@ class TestCompiled:
         for message in DATABASE.messages:
             assert getattr(codec, message.name) == message.frame_id
             assert getattr(codec, f"{message.name}_LENGTH") == message.length
+
+    def test_a_valve_begins_at_its_centre_in_tools_that_send_by_the_dbc(self) -> None:
+        signals = DATABASE.get_message_by_name("RPDO1_DAC").signals
+        assert [signal.initial for signal in signals if signal.name.startswith("Valve")] == [5.0] * 3
+
+    @pytest.mark.parametrize("name", ["EMCY_ADC", "EMCY_DAC"])
+    def test_the_dbc_and_the_gateway_tell_emergencies_in_the_same_words(self, name: str) -> None:
+        choices = DATABASE.get_message_by_name(name).get_signal_by_name("ErrorCode").choices
+        assert {code: str(text) for code, text in choices.items()} == {0: "no error"} | EMERGENCIES
 
     @pytest.mark.parametrize(
         ("name", "identifier"),

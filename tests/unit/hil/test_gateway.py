@@ -65,6 +65,7 @@ class TestBringUp:
     def test_every_heartbeat_that_is_not_operational_is_answered(self, state: int) -> None:
         gateway = hand()
         for _ in range(3):
+            gateway.deadline()
             assert gateway.give(Frame(0x710, bytes((state,)))).frames == (START_ADC,)
 
     def test_ready_needs_both_boards_and_then_a_good_sample(self) -> None:
@@ -166,7 +167,7 @@ def test_valves_are_centred_every_period_in_every_state_but_running(state: State
 
 def test_a_valve_that_something_else_moved_is_centred_at_the_next_deadline() -> None:
     gateway = hand(State.ARMED)
-    gateway.core._valves.command(0, 2.0)
+    gateway.core._loops._valves.command(0, 2.0)
     assert commands(gateway.deadline()) == [CENTRED]
 
 
@@ -184,14 +185,13 @@ def test_before_the_first_sample_a_cycle_says_that_nothing_is_known() -> None:
 
 class TestRunning:
     def test_a_command_leaves_only_in_answer_to_a_fresh_good_sample(self) -> None:
-        gateway = hand(State.RUNNING)
+        gateway = hand(State.RUNNING, adc__protected="false")
         for _ in range(30):
             assert commands(gateway.deadline()) == []
             assert commands(gateway.give(ADC_UP, DAC_UP)) == []
             assert len(commands(gateway.sample())) == 1
             gateway.now_ns += 100_000
-            again = sample_frame(gateway.volts, gateway.counter)
-            gateway.counter += 1
+            again = sample_frame(gateway.volts, 0, protected=False)
             assert commands(gateway.give(again)) == []
 
     def test_the_command_is_the_laws_limited_output(self) -> None:
@@ -318,7 +318,7 @@ class TestRunning:
         assert gateway.told.commands()[-1] != CENTRED
         output = gateway.operate(Trigger.STOP)
         assert commands(output) == [CENTRED]
-        assert gateway.core._axes[0].signals.command_v == 5.0
+        assert gateway.core._loops._axes[0].signals.command_v == 5.0
         gateway.told.frames.clear()
         gateway.periods(5)
         assert set(gateway.told.commands()) == {CENTRED}
@@ -330,11 +330,10 @@ class TestRunning:
         assert gateway.told.cycles[0].axes[0].output_v == 0.0
 
     def test_start_after_the_periods_sample_waits_for_the_next(self) -> None:
-        gateway = hand(State.ARMED)
+        gateway = hand(State.ARMED, adc__protected="false")
         gateway.period()
         gateway.operate(Trigger.START)
-        again = sample_frame(gateway.volts, gateway.counter)
-        gateway.counter += 1
+        again = sample_frame(gateway.volts, 0, protected=False)
         assert commands(gateway.give(again)) == []
         assert len(commands(gateway.period())) == 1
 

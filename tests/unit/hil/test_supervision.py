@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil.frames import Frame
-from hil.supervision import BoardWatch, NmtState
+from hil.supervision import BoardWatch, NmtState, describe_emergency
 
 TIMEOUT_NS = 302_400_000
 START = Frame(0x000, b"\x01\x10")
@@ -91,3 +91,23 @@ def test_a_board_that_is_not_operational_is_watched_too() -> None:
     board = watch()
     board.heartbeat(NmtState.PRE_OPERATIONAL, 0)
     assert board.overdue(TIMEOUT_NS + 1) is not None
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (0x8250, "RPDO did not come in time"),
+        (0x8253, "RPDO did not come in time"),
+        (0x8299, "protocol error"),
+        (0x5030, "device hardware"),
+        (0xFF42, "device specific"),
+        (0xA000, "unknown error"),
+    ],
+)
+def test_an_emergency_is_told_in_words_as_closely_as_its_code_is_known(code: int, words: str) -> None:
+    assert describe_emergency(code, 0x11, bytes(5)) == f"EMCY 0x{code:04X} ({words}), error register 0x11"
+
+
+def test_what_the_vendor_adds_is_told_too() -> None:
+    text = describe_emergency(0x8200, 0x11, bytes((2, 7, 0, 0, 0)))
+    assert text == "EMCY 0x8200 (protocol error), error register 0x11, vendor bytes 02 07 00 00 00"
