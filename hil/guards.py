@@ -4,7 +4,7 @@ Fresh is what answers the last SYNC. A board counts its answers, so an answer to
 the counter, however soon after the last one it comes. Either it is late, or a SYNC was lost and every answer
 looks late: one period without SYNC decides. Until an answer has come in time, only one SYNC at once is under
 way, so that a link slower than a period never looks fresh. Later, boards without a counter are judged by age.
-A board that counts more answers than it was asked for is not alone, or answers later than any guard can tell.
+A board that counts more answers than it was asked for, or says two things under one number, is not alone.
 
 A rejected sample is reported with its reason and counts as none. Nothing here decides what a missing sample
 means: the gateway does.
@@ -38,6 +38,7 @@ class SampleGuard:
             for name, axis in rig.axes.items()
         )
         self._counter: int | None = None
+        self._data = b""
         self._unanswered = 0
         self._is_matched = False
         self._is_behind = False
@@ -81,6 +82,11 @@ class SampleGuard:
             counter = data[6]
             if self._counter is not None:
                 step = (counter - self._counter) & 0xFF
+                if step == 0 and not is_first and data != self._data:
+                    return Unasked(
+                        f"TPDO1_ADC: counter {counter} came twice in a period, with other values: another "
+                        "node sends it too, under the same node id"
+                    )
                 if step == 0:
                     return f"TPDO1_ADC: counter {counter} repeated"
                 if step > FARTHEST_STEP:
@@ -96,7 +102,7 @@ class SampleGuard:
                 self._unanswered -= step
             else:
                 self._unanswered = 0
-            self._counter = counter
+            self._counter, self._data = counter, data
             self._is_behind = self._unanswered > 0 and not self._is_waiting
             if self._unanswered > 0:
                 return (

@@ -813,6 +813,27 @@ class TestWhichSync:
         gateway.periods(5)
         assert [cycle.fresh for cycle in gateway.told.cycles[before:]] == [True] * 5
 
+    def test_one_with_the_same_node_id_and_counter_is_a_fault(self) -> None:
+        """Two boards of one node id, started by one NMT command, count alike."""
+        gateway = hand(State.RUNNING)
+        gateway.deadline()
+        assert len(commands(gateway.sample())) == 1
+        twin = sample_frame((5.0, 5.0, 5.1), gateway.counter - 1)
+        output = gateway.give(twin)
+        assert commands(output) == [CENTRED]
+        assert faults(output) == [
+            "adc: TPDO1_ADC: counter 1 came twice in a period, with other values: another node sends it too, "
+            "under the same node id"
+        ]
+
+    def test_the_same_frame_twice_is_no_fault(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.deadline()
+        gateway.sample()
+        gateway.counter -= 1
+        assert commands(gateway.sample()) == []
+        assert gateway.state is State.RUNNING
+
     def test_nor_is_it_heard_before_the_boards_own_sample(self) -> None:
         gateway = hand(State.RUNNING)
         gateway.period()
