@@ -756,8 +756,14 @@ class TestWhichSync:
 
     @pytest.mark.parametrize("late_periods", [1, 3])
     @pytest.mark.parametrize("protected", ["true", "false"])
-    def test_a_link_slow_from_the_beginning_is_never_ready(self, late_periods: int, protected: str) -> None:
-        gateway = hand(adc__protected=protected)
+    @pytest.mark.parametrize("has_restarted", [False, True])
+    def test_a_link_slow_from_the_beginning_is_never_ready(
+        self, late_periods: int, protected: str, has_restarted: bool
+    ) -> None:
+        gateway = hand(State.READY if has_restarted else State.OFFLINE, adc__protected=protected)
+        if has_restarted:
+            gateway.period()
+            gateway.give(ADC_BOOT)
         due: list[int] = []
         for number in range(200):
             if SYNC in gateway.deadline().frames:
