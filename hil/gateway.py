@@ -5,8 +5,8 @@ No socket, no clock, no thread, no file: the shells own those. One period:
     on_deadline -> SYNC     ADC samples     receive(TPDO1) -> guards -> control laws -> limits -> RPDO1
 
 A command leaves only in answer to a good sample of the same period (RUNNING), or centres the valves (every
-other state). A sample that answers an earlier SYNC is rejected; where that goes on, one period passes without
-SYNC. A missing or rejected sample sends nothing: the board holds, and after
+other state). A sample that answers an earlier SYNC is rejected; where one may still come, a period passes
+without SYNC. A missing or rejected sample sends nothing: the board holds, and after
 ``adc.stale_after_periods`` such periods the gateway faults. A fault centres the valves at once: at a deadline
 its command goes before SYNC, so that a board which applies at SYNC does not hold for one period more.
 """
@@ -77,7 +77,6 @@ class Gateway:
         self._heartbeat_number = 0
         self._deadline_ns = first_deadline_ns
         self._wake_ns = 0
-        self._sync_ns = 0
         self._state_before = self.state
         self._has_sample = True
         self._stale_periods = 0
@@ -117,11 +116,11 @@ class Gateway:
         # A command that centres the valves, as every change of state may, never waits for its SYNC.
         is_settled = self.state is self._state_before and self.state is not State.FAULT
         self._state_before = self.state
-        if self._guard.wants_sync(may_wait=is_settled):
-            self._sync_ns = now_ns
+        if self._guard.begin_period(now_ns, may_wait=is_settled):
             frames.append(_SYNC_FRAME)
         elif self.state is not State.OFFLINE:
-            events.append(Event(Severity.WARNING, "guard", "one period without SYNC, to tell late from lost"))
+            text = "a period without SYNC, to tell late from lost"
+            events.extend(self._tell(Severity.WARNING, "guard", text, kind="no SYNC").events)
         if self._number >= self._heartbeat_number:
             self._heartbeat_number = self._number + self._rig.gateway.heartbeat_periods
             frames.append(
@@ -178,7 +177,7 @@ class Gateway:
     def _receive_sample(self, data: bytes, now_ns: int) -> Output:
         events: list[Event] = []
         lost_before = self._guard.lost
-        checked = self._guard.check(data, now_ns - self._sync_ns, not self._has_sample)
+        checked = self._guard.check(data, now_ns, not self._has_sample)
         if self._guard.lost != lost_before:
             self._report_lost(lost_before, events)
         if isinstance(checked, Unasked):

@@ -1,16 +1,20 @@
 """Guards on every sample: only a sound, expected, fresh TPDO1 becomes a position.
 
-Fresh is what answers the last SYNC. A board counts its answers, so an answer to an earlier SYNC is told by
-the counter, however soon after the last one it comes. Either it is late, or a SYNC was lost and every answer
-looks late: one period without SYNC decides. Until an answer has come in time, only one SYNC at once is under
-way, so that a link slower than a period never looks fresh. Later, boards without a counter are judged by age.
-A board that counts more answers than it was asked for, or says two things under one number, is not alone.
+Fresh is what answers the last SYNC, within a period. A board counts its answers, so each is laid beside the
+SYNC that it answers if none was lost; where a later SYNC is then still unanswered, the answer is late, or the
+board missed a SYNC. No SYNC leaves until the next answer would have come, a period later even than that: if
+none does, a SYNC was lost. Then, as in the beginning, one SYNC at once is under way until an answer has come
+in time, so that a link slower than a period never looks fresh. Later, boards without a counter are judged by
+age. A board that counts more answers than it was asked for, or says two things under one number, is not
+alone.
 
 A rejected sample is reported with its reason and counts as none. Nothing here decides what a missing sample
 means: the gateway does.
 """
 
 from __future__ import annotations
+
+from collections import deque
 
 from hil.rig import Rig
 from hil.wire import codec
@@ -19,7 +23,7 @@ from hil.wire.crc8 import crc8_j1850
 FARTHEST_STEP = 127
 """Of the counter: beyond it, it went back."""
 FIRST_ANSWER_PERIODS = 5
-"""At first, and after a restart, SYNC waits so long for the answer to the one before."""
+"""No answer is waited for longer, and a link that takes longer is not told from one that answers in time."""
 
 
 class Unasked(str):
@@ -39,78 +43,73 @@ class SampleGuard:
         )
         self._counter: int | None = None
         self._data = b""
-        self._unanswered = 0
         self._is_matched = False
-        self._is_behind = False
-        self._is_waiting = False
-        self._silent_periods = 0
+        """Whether it is known which SYNC an answer belongs to."""
+        self._unanswered: deque[int] = deque(maxlen=FARTHEST_STEP)
+        """When the SYNCs left that have no answer, if every answer so far belongs to the oldest."""
+        self._sync_ns = 0
+        self._late_answer_ns: int | None = None
+        """How long after its SYNC the last answer came, where that was not the last SYNC."""
         self.lost = 0
         """Frames that the counter says were sent and did not come, or not intact."""
 
     def forget(self) -> None:
-        """Expect any counter next: the board has restarted."""
+        """Expect any counter next: the board has restarted. What was asked before may still be answered."""
         self._counter = None
-        self._unanswered = 0
-        self._is_matched = self._is_behind = False
+        self._is_matched = False
+        self._late_answer_ns = None
 
-    def wants_sync(self, may_wait: bool) -> bool:
-        """Begin a period; False where it should pass without SYNC, which needs ``may_wait``."""
-        expects_first = not self._is_matched and self._silent_periods < FIRST_ANSWER_PERIODS
-        is_unclear = self._is_behind and not self._is_waiting
-        if may_wait and self._unanswered > 0 and (expects_first or is_unclear):
-            self._is_waiting = True
-            self._silent_periods += 1
+    def begin_period(self, now_ns: int, may_wait: bool) -> bool:
+        """Whether SYNC leaves now: not while an earlier one may be answered yet, unless it may not wait."""
+        if self._awaits_answer(now_ns) and may_wait:
             return False
-        if not self._is_matched or (self._is_waiting and self._is_behind):
-            self._unanswered = 0  # nothing came late: the board had missed a SYNC
-        self._is_behind = self._is_waiting = False
-        self._silent_periods = 0
-        self._unanswered += 1
+        self._sync_ns = now_ns
+        self._unanswered.append(now_ns)
         return True
 
-    def check(self, data: bytes, age_ns: int, is_first: bool) -> list[float] | str:
+    def _awaits_answer(self, now_ns: int) -> bool:
+        unanswered = self._unanswered
+        longest_ns = FIRST_ANSWER_PERIODS * self._period_ns
+        if not self._is_matched:
+            while unanswered and now_ns - unanswered[0] >= longest_ns:
+                unanswered.popleft()
+            return len(unanswered) > 0
+        if self._late_answer_ns is None or not unanswered:
+            return False
+        if now_ns - unanswered[-1] < min(self._late_answer_ns + self._period_ns, longest_ns):
+            return True
+        unanswered.clear()  # the last answer was in time, to the SYNC before it; others were lost
+        self._late_answer_ns = None
+        self._is_matched = False
+        return False
+
+    def check(self, data: bytes, now_ns: int, is_first: bool) -> list[float] | str:
         """Potentiometer voltages in the rig's order of axes, or the reason of the rejection.
 
-        ``age_ns`` is the time since SYNC was sent, ``is_first`` whether this period has had no sample yet.
+        ``is_first`` says whether this period has had no sample yet.
         """
         if len(data) != self._length:
             return f"TPDO1_ADC has {len(data)} bytes, not {self._length} (rig: adc.protected)"
+        step = 1
         if self._protected:
             crc = crc8_j1850(data[:7])
             if crc != data[7]:
                 return f"TPDO1_ADC: CRC 0x{data[7]:02X}, computed 0x{crc:02X}"
-            counter = data[6]
             if self._counter is not None:
-                step = (counter - self._counter) & 0xFF
-                if step == 0 and not is_first and data != self._data:
-                    return Unasked(
-                        f"TPDO1_ADC: counter {counter} came twice in a period, with other values: another "
-                        "node sends it too, under the same node id"
-                    )
-                if step == 0:
-                    return f"TPDO1_ADC: counter {counter} repeated"
-                if step > FARTHEST_STEP:
-                    return f"TPDO1_ADC: counter went back from {self._counter} to {counter}: an old sample"
-                if step > self._unanswered:
-                    before, awaited = self._counter, self._unanswered
-                    self.forget()
-                    return Unasked(
-                        f"TPDO1_ADC: counter {counter} after {before}, but {awaited} SYNC unanswered: "
-                        "another node sends it too, or the board sends unasked, or later than two periods"
-                    )
+                step = (data[6] - self._counter) & 0xFF
+                complaint = self._counter_complaint(data, step, is_first)
+                if complaint:
+                    return complaint
                 self.lost += step - 1
-                self._unanswered -= step
-            else:
-                self._unanswered = 0
-            self._counter, self._data = counter, data
-            self._is_behind = self._unanswered > 0 and not self._is_waiting
-            if self._unanswered > 0:
-                return (
-                    f"TPDO1_ADC: answers an earlier SYNC, {self._unanswered} before the last: it is late, "
-                    "or the board missed a SYNC"
-                )
-        else:
-            self._unanswered = 0
+            self._counter, self._data = data[6], data
+        elif self._is_matched:
+            step = len(self._unanswered)
+        age_ns = self._match(step, now_ns)
+        if self._unanswered:
+            return (
+                f"TPDO1_ADC: answers an earlier SYNC, {len(self._unanswered)} before the last: it is late, "
+                "or the board missed a SYNC"
+            )
         if not is_first:
             return "TPDO1_ADC: not the first sample since SYNC"
         if age_ns > self._period_ns:
@@ -128,3 +127,32 @@ class SampleGuard:
                     f"(rig: axes.{axis}.potentiometer), broken wire or short"
                 )
         return volts
+
+    def _counter_complaint(self, data: bytes, step: int, is_first: bool) -> str:
+        counter = data[6]
+        if step == 0 and not is_first and data != self._data:
+            return Unasked(
+                f"TPDO1_ADC: counter {counter} came twice in a period, with other values: another node "
+                "sends it too, under the same node id"
+            )
+        if step == 0:
+            return f"TPDO1_ADC: counter {counter} repeated"
+        if step > FARTHEST_STEP:
+            return f"TPDO1_ADC: counter went back from {self._counter} to {counter}: an old sample"
+        if self._is_matched and step > len(self._unanswered):
+            before, awaited = self._counter, len(self._unanswered)
+            self.forget()
+            return Unasked(
+                f"TPDO1_ADC: counter {counter} after {before}, but {awaited} SYNC unanswered: another node "
+                f"sends it too, or the board sends unasked, or later than {FIRST_ANSWER_PERIODS} periods"
+            )
+        return ""
+
+    def _match(self, step: int, now_ns: int) -> int:
+        """Lay an answer beside the SYNC that it belongs to, ``step`` further on; returns its age."""
+        answered_ns = self._sync_ns
+        for _ in range(min(step, len(self._unanswered))):
+            answered_ns = self._unanswered.popleft()
+        age_ns = now_ns - answered_ns
+        self._late_answer_ns = age_ns if self._unanswered else None
+        return age_ns

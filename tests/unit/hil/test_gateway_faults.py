@@ -31,6 +31,7 @@ from hil.controller_file import Pid, TransferFunction
 from hil.events import Event, Output, Severity
 from hil.frames import Frame
 from hil.gateway import BUS_OFF, MOST_REPORTED
+from hil.guards import FIRST_ANSWER_PERIODS
 from hil.life_cycle import State, Trigger
 from hil.wire import codec
 
@@ -187,7 +188,7 @@ class TestStaleness:
         assert gateway.state is State.OFFLINE
         assert [event.severity for event in output.events] == [Severity.WARNING, Severity.INFO]
         assert texts(output)[1] == "life cycle: ready -> offline (boards lost)"
-        gateway.periods(3)  # the board has missed four SYNCs
+        gateway.periods(FIRST_ANSWER_PERIODS + 2)  # the board has missed four SYNCs
         assert gateway.state is State.READY
 
     def test_until_then_the_board_holds(self) -> None:
@@ -397,7 +398,7 @@ class TestBoardRestart:
                 gateway.give(DAC_UP)
         gateway.give(ADC_BOOT)
         gateway.counter = last  # the very counter that came last
-        gateway.period()
+        gateway.periods(1 if is_announced else FIRST_ANSWER_PERIODS)
         assert gateway.state is State.READY
         assert gateway.core.rejected_frames == 0
         assert gateway.core.lost_samples == 0
@@ -689,7 +690,7 @@ class TestReset:
         gateway.core.link_failed("x")
         gateway.operate(Trigger.RESET)
         gateway.counter -= 1  # the last counter once more
-        gateway.period()
+        gateway.periods(FIRST_ANSWER_PERIODS + 1)
         assert gateway.state is State.READY
         gateway.give(FOREIGN["SYNC"])
         gateway.operate(Trigger.RESET)
@@ -703,7 +704,7 @@ class TestReset:
         for _ in range(20):
             gateway.deadline()
         gateway.operate(Trigger.RESET)
-        gateway.period()
+        gateway.periods(FIRST_ANSWER_PERIODS + 1)
         gateway.operate(Trigger.ARM)
         gateway.deadline()
         gateway.deadline()
@@ -730,29 +731,73 @@ class TestWhichSync:
         assert len(commands(gateway.sample())) == 1
         assert SYNC in gateway.deadline().frames
 
-    def test_a_board_that_missed_a_sync_is_followed_after_a_period_without_one(self) -> None:
+    def test_a_board_that_missed_a_sync_is_followed_after_two_periods_without_one(self) -> None:
         gateway = hand(State.RUNNING, **PATIENT)
         gateway.period()
         gateway.deadline()  # SYNC is lost: no answer
         gateway.deadline()
         assert commands(gateway.sample()) == []
-        output = gateway.deadline()
-        assert SYNC not in output.frames
-        assert texts(output) == ["guard: one period without SYNC, to tell late from lost"]
+        for _ in range(2):
+            output = gateway.deadline()
+            assert SYNC not in output.frames
+            assert texts(output) == ["guard: a period without SYNC, to tell late from lost"]
         for _ in range(3):
             assert SYNC in gateway.deadline().frames
             assert len(commands(gateway.sample())) == 1
 
-    def test_a_link_slower_than_a_period_is_a_fault(self) -> None:
-        gateway = hand(State.RUNNING, **PATIENT)
+    @pytest.mark.parametrize("late_periods", [1, 2, 3, 4])
+    @pytest.mark.parametrize("has_lost", [False, True])
+    @pytest.mark.parametrize("state", [State.RUNNING, State.FAULT])
+    def test_a_link_that_becomes_slow_moves_nothing_and_is_a_fault(
+        self, late_periods: int, has_lost: bool, state: State
+    ) -> None:
+        """However patient the rig file is; nor does a reset make it look fresh."""
+        gateway = hand(State.RUNNING, adc__stale_after_periods="60")
         gateway.period()
-        is_owed = False
-        while gateway.state is State.RUNNING:
-            was_owed, is_owed = is_owed, SYNC in gateway.deadline().frames
-            if was_owed:  # the answer to the SYNC of the period before
-                assert commands(gateway.sample()) == []
-        assert gateway.state is State.FAULT
-        assert "no good sample for" in str(gateway.core.fault_reason)
+        if has_lost:
+            gateway.deadline()  # SYNC is lost: no answer
+            gateway.periods(4)
+            assert len(commands(gateway.period())) == 1
+        is_resetting = state is State.FAULT
+        due: list[int] = []
+        for number in range(140):
+            if SYNC in gateway.deadline().frames:
+                due.append(number + late_periods)
+            gateway.give(ADC_UP, DAC_UP)
+            while due and due[0] <= number:
+                due.pop(0)
+                assert [volts for volts in commands(gateway.sample()) if volts != CENTRED] == []
+                assert gateway.state is not State.READY
+            if number == 30 and is_resetting:
+                gateway.told.add(gateway.core.link_failed("test"))
+            if number == 50 and is_resetting:
+                gateway.operate(Trigger.RESET)
+        assert gateway.state is (State.OFFLINE if is_resetting else State.FAULT)
+
+    @pytest.mark.parametrize("late_ns", [1_000_000, PERIOD_NS - 1_000_000])
+    def test_lost_syncs_cost_as_little_as_can_be(self, late_ns: int) -> None:
+        """Its own answer, the next one, and two periods without SYNC: under the shipped limit of 5."""
+        gateway = hand(State.RUNNING, **PATIENT)
+        for _ in range(20):
+            gateway.deadline()
+            gateway.give(ADC_UP, DAC_UP)
+            assert len(commands(gateway.sample(after_ns=late_ns))) == 1
+            gateway.deadline()  # SYNC is lost
+            gateway.deadline()
+            assert commands(gateway.sample(after_ns=late_ns)) == []
+            silent = 0
+            while SYNC not in gateway.deadline().frames:
+                silent += 1
+            assert silent == 2
+            assert len(commands(gateway.sample(after_ns=late_ns))) == 1
+
+    def test_a_first_sync_that_is_lost_is_sent_again(self) -> None:
+        gateway = hand()
+        gateway.give(ADC_UP, DAC_UP)
+        had_sync = [SYNC in gateway.deadline().frames for _ in range(11)]
+        assert [number for number, had in enumerate(had_sync) if had] == [0, 5, 10]
+        gateway.sample()
+        assert gateway.state is State.READY
 
     @pytest.mark.parametrize("late_periods", [1, 3])
     @pytest.mark.parametrize("protected", ["true", "false"])

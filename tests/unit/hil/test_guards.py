@@ -8,22 +8,23 @@ from collections.abc import Sequence
 import pytest
 from helpers import make_rig, sample_frame
 
-from hil.guards import SampleGuard, Unasked
+from hil.guards import FIRST_ANSWER_PERIODS, SampleGuard, Unasked
 
 VOLTS = (1.0, 5.0, 9.0)
 COUNT_V = 10.0 / 32768
 PERIOD_NS = 11_200_000
 
 
-def guard(**changes: str) -> SampleGuard:
-    return SampleGuard(make_rig({key.replace("__", "."): value for key, value in changes.items()}))
-
-
-def asked(checks: SampleGuard, times: int = 1) -> SampleGuard:
-    """Send so many SYNCs."""
+def asked(checks: SampleGuard, times: int = 1, now_ns: int = 0) -> SampleGuard:
+    """Send so many SYNCs at 0 ns."""
     for _ in range(times):
-        assert checks.wants_sync(may_wait=False)
+        assert checks.begin_period(now_ns, may_wait=False)
     return checks
+
+
+def guard(**changes: str) -> SampleGuard:
+    """A guard that has sent its first SYNC."""
+    return asked(SampleGuard(make_rig({key.replace("__", "."): text for key, text in changes.items()})))
 
 
 def sample(counter: int = 0, volts: Sequence[float] = VOLTS) -> bytes:
@@ -101,12 +102,14 @@ class TestCounter:
 
     def test_one_more_each_time_around_the_clock(self) -> None:
         checks = guard()
+        accepted(checks.check(sample(255), 0, True))
         for counter in range(600):
             accepted(asked(checks).check(sample(counter), 0, True))
         assert checks.lost == 0
 
     def test_an_old_one_is_rejected_and_the_next_taken(self) -> None:
         checks = guard()
+        accepted(checks.check(sample(253), 0, True))
         for counter in (254, 255, 0, 1):
             accepted(asked(checks).check(sample(counter), 0, True))
         assert asked(checks).check(sample(255), 0, True) == (
@@ -145,7 +148,8 @@ class TestCounter:
         said = asked(checks, syncs).check(sample(7 + step), 0, True)
         assert isinstance(said, Unasked)
         assert said.startswith(f"TPDO1_ADC: counter {7 + step} after 7, but {syncs} SYNC unanswered: ")
-        accepted(asked(checks).check(sample(200), 0, True))  # as after a restart
+        later_ns = FIRST_ANSWER_PERIODS * PERIOD_NS  # as after a restart
+        accepted(asked(checks, now_ns=later_ns).check(sample(200), later_ns, True))
 
     def test_after_a_restart_any_is_expected(self) -> None:
         checks = guard()
