@@ -452,6 +452,15 @@ class TestBabble:
         starts = [frame.data[1] for frame in gateway.told.frames if frame.id == codec.NMT]
         assert starts == [0x10, 0x20] * 10
 
+    def test_after_a_reset_it_is_told_again(self) -> None:
+        gateway = hand()
+        warning = emergency(0x090, 0x1000)
+        told = [len(gateway.give(warning).events) for _ in range(9)]
+        assert told == [1] * 8 + [0]
+        gateway.core.link_failed("x")
+        gateway.operate(Trigger.RESET)
+        assert len(gateway.give(warning).events) == 1
+
     def test_rejections_in_every_other_period_are_told_with_their_number(self) -> None:
         gateway = hand(State.RUNNING)
         told: list[str] = []
@@ -852,6 +861,7 @@ class TestWhichSync:
         other = sample_frame((9.0, 9.0, 9.0), gateway.counter + (40 if is_ahead else -40))
         said = gateway.give(other)
         assert (gateway.state is State.FAULT) == is_ahead
+        assert gateway.core.rejected_frames == 1
         if is_ahead:
             assert commands(said) == [CENTRED]
             assert faults(said)[0].startswith(
