@@ -38,6 +38,10 @@ class RunSetup:
         laws = {name: ControlLaw(c.law, c.sample_time_s) for name, c in self.controllers.items()}
         return Gateway(self.rig, laws, self.setpoints, first_deadline_ns)
 
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of every document, by its name."""
+        return {name: hashlib.sha256(text.encode()).hexdigest() for name, text in self.texts.items()}
+
     def fingerprint(self) -> str:
         """SHA-256 over every text and setpoint: two runs with the same one had the same configuration."""
         digest = hashlib.sha256()

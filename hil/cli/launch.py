@@ -101,6 +101,7 @@ def _header(
         metadata={
             "run": {"configuration sha256": setup.fingerprint(), "hil": __version__, **versions},
             "setpoints": {name: setpoint.text for name, setpoint in setup.setpoints.items()},
+            "documents": setup.digests(),
         },
     )
 

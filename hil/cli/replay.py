@@ -6,13 +6,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from hil.errors import ReplayMismatchError
+from hil.errors import HilError, ReplayMismatchError
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
 
 
 def main(argv: list[str]) -> int:
-    """Replay recordings; 0 when every outgoing byte is identical, 1 where one is not."""
+    """Replay recordings. 0: all identical; 1: one differs; 2: one is damaged, or no recording."""
     parser = argparse.ArgumentParser(
         prog="hil replay",
         description="Give a recording's frames and deadlines to the core again.",
@@ -22,7 +22,7 @@ def main(argv: list[str]) -> int:
         "--verify",
         action="store_true",
         required=True,
-        help="compare every outgoing byte with the recorded one",
+        help="compare every outgoing byte, event and signal with the recorded one",
     )
     options = parser.parse_args(argv)
     status = 0
@@ -31,11 +31,16 @@ def main(argv: list[str]) -> int:
             report = verify(Recording(path))
         except ReplayMismatchError as error:
             sys.stderr.write(f"different  {error}\n")
-            status = 1
+            status = max(status, 1)
             continue
-        rest = "" if report.complete else "; the file has no footer, all that it holds was verified"
+        except HilError as error:
+            sys.stderr.write(f"refused    {error}\n")
+            status = 2
+            continue
+        rest = "" if report.complete else "; it was cut off: what it holds was verified"
         sys.stdout.write(
-            f"identical  {path}: {report.frames_compared} frames in {report.calls} calls, "
+            f"identical  {path}: {report.frames_compared} frames, {report.events_compared} events and "
+            f"{report.periods_compared} periods of signals from {report.calls} calls, "
             f"{report.duration_s:.3f} s{rest}\n"
         )
     return status

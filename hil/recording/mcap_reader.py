@@ -1,11 +1,13 @@
 """An MCAP file as a whole or as a crash left it: attachments, metadata, channels, and messages as numpy rows.
 
 Knows nothing of gateways. mcap's classes parse every record but messages: those of a channel are gathered
-from a chunk at once, as their layout is fixed. mcap's own readers refuse a file without a footer.
+from a chunk at once, as their layout is fixed. mcap's own readers refuse a file without a footer. A file with
+one is held to its CRCs: of each chunk and attachment, and of all that stands before and after the data's end.
 """
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
@@ -16,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from hil.errors import RecordingError
@@ -26,6 +29,11 @@ from hil.recording.schemas import layout_of
 
 Rows = npt.NDArray[np.void]
 """A structured array, one row a message."""
+
+_UNREADABLE = (McapError, struct.error, ValueError, OverflowError, MemoryError)
+"""What mcap's classes raise on bytes that are no such record."""
+_FOOTER_UP_TO_CRC = RECORD_HEADER.size + 16
+_CRC_BYTES = 4
 
 MESSAGE_FIELDS = {"length": ("<u8", 1), "log_time": ("<u8", 15), "publish_time": ("<u8", 23)}
 """Fields of the record around each payload, with their offsets, that :meth:`McapContents.rows` adds."""
@@ -43,7 +51,7 @@ class _Chunk(NamedTuple):
 
 
 class McapContents:
-    """What is in the file at ``path``. Raises RecordingError when it is no MCAP or a chunk is damaged."""
+    """What is in the file at ``path``. Raises RecordingError when it is no MCAP, or damaged."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -61,20 +69,17 @@ class McapContents:
             raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
         if not content.startswith(MCAP0_MAGIC):
             raise RecordingError(f"{path}: not an MCAP file")
-        for opcode, offset, body in _records(content, len(MCAP0_MAGIC)):
-            match opcode:
-                case Opcode.ATTACHMENT:
-                    attachment = Attachment.read(_stream(body))
-                    self.attachments[attachment.name] = attachment.data
-                case Opcode.METADATA:
-                    metadata = Metadata.read(_stream(body))
-                    self.metadata[metadata.name] = metadata.metadata
-                case Opcode.SCHEMA | Opcode.CHANNEL:
-                    self._describe(opcode, body)
-                case Opcode.CHUNK:
-                    self._index(offset, Chunk.read(_stream(body)))
-                case Opcode.FOOTER:
-                    self.is_complete = content.endswith(MCAP0_MAGIC)
+        places: dict[int, tuple[int, int]] = {}
+        end = len(MCAP0_MAGIC)
+        for opcode, offset, body in _records(content, end):
+            end = offset + RECORD_HEADER.size + len(body)
+            places[opcode] = offset, end
+            try:
+                self._take(opcode, offset, body)
+            except _UNREADABLE:
+                kind = Opcode(opcode).name.lower().replace("_", " ")
+                raise RecordingError(f"{path}: the {kind} at byte {offset} is damaged") from None
+        self._check_end(content, places, end)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -130,6 +135,48 @@ class McapContents:
 
     def _unlike(self, topic: str) -> RecordingError:
         return RecordingError(f"{self.path}: {topic}: a message's length is not that of its definition")
+
+    def _take(self, opcode: int, offset: int, body: bytes) -> None:
+        match opcode:
+            case Opcode.ATTACHMENT:
+                attachment = Attachment.read(_stream(body))
+                crc = int.from_bytes(body[-_CRC_BYTES:], "little")
+                if crc and zlib.crc32(body[:-_CRC_BYTES]) != crc:
+                    raise RecordingError(
+                        f"{self.path}: the attachment {attachment.name} is damaged: its CRC is not that of "
+                        "its content"
+                    )
+                self.attachments[attachment.name] = attachment.data
+            case Opcode.METADATA:
+                metadata = Metadata.read(_stream(body))
+                self.metadata[metadata.name] = metadata.metadata
+            case Opcode.SCHEMA | Opcode.CHANNEL:
+                self._describe(opcode, body)
+            case Opcode.CHUNK:
+                self._index(offset, Chunk.read(_stream(body)))
+
+    def _check_end(self, content: bytes, places: dict[int, tuple[int, int]], end: int) -> None:
+        """Tell a file that was cut off from one that was changed, and hold a whole one to its CRCs.
+
+        ``places``: where the last record of each opcode begins and ends; ``end``: of the last whole record.
+        """
+        rest, has_footer = content[end:], Opcode.FOOTER in places
+        self.is_complete = has_footer and Opcode.DATA_END in places and rest == MCAP0_MAGIC
+        if not self.is_complete:
+            if content.endswith(MCAP0_MAGIC) or (has_footer and not MCAP0_MAGIC.startswith(rest)):
+                raise RecordingError(f"{self.path}: damaged: its records do not lead to its end")
+            return
+        (data_end, summary), (footer, _) = places[Opcode.DATA_END], places[Opcode.FOOTER]
+        data_crc = DataEnd.read(_stream(content[data_end + RECORD_HEADER.size :])).data_section_crc
+        summary_crc = Footer.read(_stream(content[footer + RECORD_HEADER.size :])).summary_crc
+        self._check_crc(content, 0, data_end, data_crc)
+        self._check_crc(content, summary, footer + _FOOTER_UP_TO_CRC, summary_crc)
+
+    def _check_crc(self, content: bytes, start: int, end: int, crc: int) -> None:
+        if crc and zlib.crc32(memoryview(content)[start:end]) != crc:
+            raise RecordingError(
+                f"{self.path}: damaged: the CRC of bytes {start} to {end} is not that of their content"
+            )
 
     def _describe(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:

@@ -54,6 +54,8 @@ class McapWriter:
     def __init__(self, write: Callable[[bytes], object], header: RunHeader) -> None:
         self._write = write
         self._position = 0
+        self._crc = 0
+        """Of all that was written."""
         self._compressor = zstandard.ZstdCompressor()
         self._chunk_indexes: list[ChunkIndex] = []
         self._attachment_indexes: list[AttachmentIndex] = []
@@ -133,7 +135,7 @@ class McapWriter:
         """Write the last chunk, ``metadata`` (name to entries), the summary and the footer."""
         self.flush()
         self._add_metadata(metadata)
-        self._put(_bytes_of([DataEnd(data_section_crc=0)]))
+        self._put(_bytes_of([DataEnd(self._crc)]))
         groups: list[tuple[Opcode, list[McapRecord]]] = [
             (Opcode.SCHEMA, [*self._schemas]),
             (Opcode.CHANNEL, [*self._channels]),
@@ -159,6 +161,7 @@ class McapWriter:
     def _put(self, data: bytes | bytearray) -> None:
         self._write(bytes(data))
         self._position += len(data)
+        self._crc = zlib.crc32(data, self._crc)
 
     def _add_attachment(self, attachment: Attachment) -> None:
         record = _bytes_of([attachment])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import RecordingError
-from hil.events import Event, Severity
+from hil.events import AxisSignals, Event, Severity
 from hil.frames import Frame
 from hil.recording.handover import MESSAGE_HEADER, RECORD_HEADER, SEQUENCE_MASK
 from hil.recording.mcap_reader import MESSAGE_FIELDS, McapContents, Rows
@@ -56,6 +56,41 @@ class Operated(NamedTuple):
 Call = FrameReceived | FrameSent | DeadlineCalled | Operated
 
 
+class EventTold(NamedTuple):
+    """The core, or the shell, reported ``event``."""
+
+    now_ns: int
+    event: Event
+
+
+class AxisRecorded(NamedTuple):
+    """An axis in the period that ended; ``wake_ns`` is the sampling instant, when SYNC left."""
+
+    now_ns: int
+    axis: str
+    wake_ns: int
+    signals: AxisSignals
+    state: int
+    fresh: bool
+
+
+class CycleRecorded(NamedTuple):
+    """A period that ended: instants as in :meth:`Recording.timing`."""
+
+    now_ns: int
+    number: int
+    deadline_ns: int
+    wake_ns: int
+    receive_ns: int
+    computed_ns: int
+    sent_ns: int
+    state: int
+    fresh: bool
+
+
+Entry = Call | EventTold | AxisRecorded | CycleRecorded
+
+
 class Recording:
     """One run. Raises RecordingError when ``path`` is no recording, or is damaged other than at its end."""
 
@@ -72,8 +107,11 @@ class Recording:
                 raise RecordingError(
                     f"{path}: not the recording of a run: metadata recording.{key} is missing"
                 )
-        self.epoch_offset_ns = int(own["epoch_offset_ns"])
-        """Epoch time minus monotonic time."""
+        try:
+            self.epoch_offset_ns = int(own["epoch_offset_ns"])
+            """Epoch time minus monotonic time."""
+        except ValueError:
+            raise RecordingError(f"{path}: metadata recording.epoch_offset_ns is no number") from None
         self.bus = own["bus"]
 
     @property
@@ -130,33 +168,69 @@ class Recording:
         return [(message.now_ns, _event(message.payload)) for message in self._messages({channel})]
 
     def calls(self) -> Iterator[Call]:
-        """The core's calls and answers in their order.
+        """The core's calls and answers in their order. Raises what :meth:`entries` raises."""
+        return (entry for entry in self.entries() if isinstance(entry, Call))
+
+    def entries(self) -> Iterator[Entry]:
+        """All that was recorded, in its order.
 
         Raises RecordingError where messages are missing: what was dropped while recording cannot be replayed.
         """
-        frame, deadline = self._struct("/can/rx", self.bus), self._struct("/gateway/deadline", "")
-        received, sent, deadlines, operated = (
-            self._contents.channel(topic).id
-            for topic in ("/can/rx", "/can/tx", "/gateway/deadline", "/gateway/operator")
-        )
+        readers = self._readers()
         expected = 1
-        for channel, sequence, now_ns, stamp_ns, payload in self._messages(None):
-            if sequence != expected:
-                missing = (sequence - expected) & SEQUENCE_MASK
+        for message in self._messages(None):
+            if message.sequence != expected:
+                missing = (message.sequence - expected) & SEQUENCE_MASK
                 raise RecordingError(
-                    f"{self.path}: {missing} messages before {now_ns} ns were dropped while recording; "
-                    "from there on the calls of the core are not known"
+                    f"{self.path}: {missing} messages before {message.now_ns} ns were dropped while "
+                    "recording; from there on the calls of the core are not known"
                 )
-            expected = (sequence + 1) & SEQUENCE_MASK
-            if channel == received:
-                yield FrameReceived(now_ns, _frame(frame.unpack(payload)), stamp_ns)
-            elif channel == sent:
-                yield FrameSent(now_ns, _frame(frame.unpack(payload)))
-            elif channel == deadlines:
-                _, deadline_ns, called_ns = deadline.unpack(payload)
-                yield DeadlineCalled(called_ns, deadline_ns)
-            elif channel == operated:
-                yield Operated(now_ns, _string(payload, len(CDR_HEADER))[0])
+            expected = (message.sequence + 1) & SEQUENCE_MASK
+            if message.channel in readers:
+                try:
+                    entry = readers[message.channel](message)
+                except (ValueError, struct.error) as error:
+                    raise RecordingError(
+                        f"{self.path}: message {message.sequence} cannot be read: {error}"
+                    ) from None
+                yield entry
+        dropped = self.messages_dropped
+        if dropped:
+            raise RecordingError(
+                f"{self.path}: {dropped} messages after the last one were dropped while recording"
+            )
+
+    @property
+    def messages_dropped(self) -> int:
+        """Messages that were not recorded, because the recorder process fell behind or ended."""
+        counts = self.metadata.get("recorder", {})
+        return sum(int(count) for key, count in counts.items() if key.startswith("dropped "))
+
+    def _readers(self) -> dict[int, Callable[[_Message], Entry]]:
+        """By channel id, what makes an entry of a message."""
+        frame, deadline = self._struct("/can/rx", self.bus), self._struct("/gateway/deadline", "")
+        cycle = self._struct("/gateway/cycle", "")
+        by_topic: dict[str, Callable[[_Message], Entry]] = {
+            "/can/rx": lambda m: FrameReceived(m.now_ns, _frame(frame.unpack(m.payload)), m.stamp_ns),
+            "/can/tx": lambda m: FrameSent(m.now_ns, _frame(frame.unpack(m.payload))),
+            "/gateway/deadline": lambda m: DeadlineCalled(*deadline.unpack(m.payload)[:0:-1]),
+            "/gateway/operator": lambda m: Operated(m.now_ns, _string(m.payload, len(CDR_HEADER))[0]),
+            "/gateway/events": lambda m: EventTold(m.now_ns, _event(m.payload)),
+            "/gateway/cycle": lambda m: CycleRecorded(m.now_ns, *cycle.unpack(m.payload)[1:]),
+        }
+        for name in self.axes:
+            by_topic[AXIS_TOPIC + name] = self._axis_reader(name)
+        return {self._contents.channel(topic).id: read for topic, read in by_topic.items()}
+
+    def _axis_reader(self, name: str) -> Callable[[_Message], AxisRecorded]:
+        axis = self._struct(AXIS_TOPIC + name, "")
+
+        def read(message: _Message) -> AxisRecorded:
+            _, seconds, nanoseconds, _, *signals, state, fresh = axis.unpack(message.payload)
+            wake_ns = seconds * _SECOND_NS + nanoseconds - self.epoch_offset_ns
+            return AxisRecorded(message.now_ns, name, wake_ns, AxisSignals(*signals), state, fresh)
+
+        return read
 
     def _messages(self, channels: set[int] | None) -> Iterator[_Message]:
         """Messages of ``channels`` (None: of all) in the order recorded."""

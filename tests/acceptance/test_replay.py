@@ -1,20 +1,28 @@
-"""Replay: every outgoing byte of a recorded run comes out again, and one changed byte is found."""
+"""Replay: all that the core gave comes out again; a changed byte, signal, event or document is found."""
 
 from __future__ import annotations
 
+import struct
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from hil.cli import main
+from hil.errors import RecordingError
 from hil.recording.reader import Recording
+from hil.recording.schemas import AXIS_SIGNALS, CYCLE, layout_of
 from hil.shells.replay import verify
 
 DLC = -9
 """Place of the data length in can_msgs/msg/Frame; eight bytes of data follow."""
 ARGUMENTS = ["run", "--lockstep", "--duration", "3"]
+SHORT = ["run", "--lockstep", "--linear", "--duration", "0.1", "--setpoint", "rotation=csv:table.csv"]
 
 
 @pytest.fixture(scope="module")
@@ -24,19 +32,30 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def copy_with_changed_byte(source: Path, target: Path, topic: str, message: int, byte: int) -> None:
-    """Copy a recording by mcap's own reader and writer; flip one bit of the n-th frame of eight bytes."""
+class Message(NamedTuple):
+    topic: str
+    data: bytearray
+
+
+def rewritten(
+    source: Path,
+    target: Path,
+    change: Callable[[Message], None] = lambda _message: None,
+    attachments: Callable[[str, bytes], bytes] = lambda _name, data: data,
+    metadata: Callable[[str, dict[str, str]], dict[str, str]] = lambda _name, entries: entries,
+) -> Path:
+    """A copy by mcap's own reader and writer, every CRC right, of what the functions make of the parts."""
     with source.open("rb") as original, target.open("wb") as file:
         reader = make_reader(original)
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="test")
         for attachment in reader.iter_attachments():
-            writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
-        for metadata in reader.iter_metadata():
-            writer.add_metadata(metadata.name, metadata.metadata)
+            data = attachments(attachment.name, attachment.data)
+            writer.add_attachment(0, 0, attachment.name, attachment.media_type, data)
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, metadata(record.name, record.metadata))
         schemas: dict[int, int] = {}
         channels: dict[int, int] = {}
-        seen = 0
         for schema, channel, record in reader.iter_messages(log_time_order=False):
             assert schema is not None
             if schema.id not in schemas:
@@ -45,15 +64,37 @@ def copy_with_changed_byte(source: Path, target: Path, topic: str, message: int,
                 channels[channel.id] = writer.register_channel(
                     channel.topic, channel.message_encoding, schemas[schema.id], dict(channel.metadata)
                 )
-            data = bytearray(record.data)
-            if channel.topic == topic and data[DLC] == 8:
-                seen += 1
-                if seen == message:
-                    data[byte] ^= 0x01
+            message = Message(channel.topic, bytearray(record.data))
+            change(message)
             writer.add_message(
-                channels[channel.id], record.log_time, bytes(data), record.publish_time, record.sequence
+                channels[channel.id],
+                record.log_time,
+                bytes(message.data),
+                record.publish_time,
+                record.sequence,
             )
         writer.finish()
+    return target
+
+
+def nth(topic: str, number: int, change: Callable[[bytearray], None]) -> Callable[[Message], None]:
+    """Changes the n-th message of a topic, counted from 1; of frames, those of eight bytes."""
+    seen = Counter[str]()
+
+    def at(message: Message) -> None:
+        if message.topic == topic and (not topic.startswith("/can/") or message.data[DLC] == 8):
+            seen[topic] += 1
+            if seen[topic] == number:
+                change(message.data)
+
+    return at
+
+
+def flip(byte: int) -> Callable[[bytearray], None]:
+    def change(data: bytearray) -> None:
+        data[byte] ^= 0x01
+
+    return change
 
 
 def test_lockstep_recording_verifies(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -69,9 +110,11 @@ def test_lockstep_gives_the_same_bytes(recorded: Path, tmp_path: Path) -> None:
 
 def test_rewritten_recording_still_verifies(recorded: Path, tmp_path: Path) -> None:
     """The reader depends on the format, not on our writer's chunks."""
-    copy = tmp_path / "copy.mcap"
-    copy_with_changed_byte(recorded, copy, "/can/tx", 0, 0)
-    assert verify(Recording(copy)) == verify(Recording(recorded))
+    copy = rewritten(recorded, tmp_path / "copy.mcap")
+    report = verify(Recording(copy))
+    assert report == verify(Recording(recorded))
+    assert report.events_compared == len(Recording(recorded).events())
+    assert report.periods_compared == len(Recording(recorded).timing())
 
 
 @pytest.mark.parametrize("message", [1, 100, 280])
@@ -79,8 +122,7 @@ def test_rewritten_recording_still_verifies(recorded: Path, tmp_path: Path) -> N
 def test_one_changed_byte_is_found(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], message: int, byte: int
 ) -> None:
-    changed = tmp_path / "changed.mcap"
-    copy_with_changed_byte(recorded, changed, "/can/tx", message, byte)
+    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/can/tx", message, flip(byte)))
     assert main(["replay", "--verify", str(changed)]) == 1
     told = capsys.readouterr().err
     assert "different" in told
@@ -90,9 +132,205 @@ def test_one_changed_byte_is_found(
 
 def test_changed_input_is_found(recorded: Path, tmp_path: Path) -> None:
     """One bit of one received sample: its CRC is wrong, so the core does not answer as it did."""
-    changed = tmp_path / "changed.mcap"
-    copy_with_changed_byte(recorded, changed, "/can/rx", 150, -7)
+    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/can/rx", 150, flip(-7)))
     assert main(["replay", "--verify", str(changed)]) == 1
+
+
+AXIS_FIELDS = [
+    field for field in layout_of(AXIS_SIGNALS.definition, "").fields if field.name not in ("header.frame_id",)
+]
+CYCLE_FIELDS = [
+    field for field in layout_of(CYCLE.definition, "").fields if field.name not in ("computed", "sent")
+]
+"""But what the shell says: when it had computed and sent."""
+
+
+@pytest.mark.parametrize("field", AXIS_FIELDS, ids=lambda field: field.name)
+def test_a_changed_signal_is_found(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], field: NamedTuple
+) -> None:
+    name, code, offset = field
+
+    def change(data: bytearray) -> None:
+        (value,) = struct.unpack_from("<" + code, data, offset)
+        struct.pack_into("<" + code, data, offset, value + 1e-7 if code == "d" else 1 - value % 2)
+
+    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/axis/rotation", 200, change))
+    assert main(["replay", "--verify", str(changed)]) == 1
+    told = capsys.readouterr().err
+    assert "recorded rotation " + ("stamp_ns" if name.startswith("header") else name) in told
+    assert "the core gives rotation" in told
+
+
+@pytest.mark.parametrize("field", CYCLE_FIELDS, ids=lambda field: field.name)
+def test_a_changed_period_is_found(recorded: Path, tmp_path: Path, field: NamedTuple) -> None:
+    _, _, offset = field
+    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/cycle", 200, flip(offset)))
+    assert main(["replay", "--verify", str(changed)]) == 1
+
+
+def test_the_least_bit_of_a_sampled_position_is_found_and_rounding_of_a_law_is_not(
+    recorded: Path, tmp_path: Path
+) -> None:
+    """Another machine's linear algebra may round a law otherwise; a sample is scaled alike on all."""
+    places = {name: offset for name, _, offset in AXIS_FIELDS}
+    for name, status in (("position", 1), ("potentiometer_v", 1), ("output_v", 0), ("setpoint", 0)):
+        change = nth("/axis/vertical", 200, flip(places[name]))
+        changed = rewritten(recorded, tmp_path / f"{name}.mcap", change)
+        assert main(["replay", "--verify", str(changed)]) == status, name
+
+
+@pytest.mark.parametrize("part", ["level", "name", "text"])
+def test_a_changed_event_is_found(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], part: str
+) -> None:
+    def change(message: Message) -> None:
+        if message.topic == "/gateway/events" and b"armed -> running" in message.data:
+            place = {"level": 12, "name": 21, "text": message.data.index(b"running")}[part]
+            message.data[place] ^= 20 ^ 30 if part == "level" else 0x01
+
+    changed = rewritten(recorded, tmp_path / "changed.mcap", change)
+    assert main(["replay", "--verify", str(changed)]) == 1
+    assert "the core gives info life cycle: armed -> running (start)" in capsys.readouterr().err
+
+
+def test_a_recorded_deadline_that_is_not_the_cores_is_found(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/deadline", 100, flip(4)))
+    assert main(["replay", "--verify", str(changed)]) == 1
+    assert "recorded deadline" in capsys.readouterr().err
+
+
+def test_an_operators_command_that_is_none_is_found(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/operator", 1, flip(8)))
+    assert main(["replay", "--verify", str(changed)]) == 1
+    assert "no operator's command" in capsys.readouterr().err
+
+
+# The documents
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small file with every kind of record and of document."""
+    folder = tmp_path_factory.mktemp("short")
+    (folder / "table.csv").write_text("time_s,setpoint\n0,0\n0.05,0.1\n")
+    path = folder / "run.mcap"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main([*SHORT, "--record", str(path)]) == 0
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after"),
+    [
+        ("rig.toml", b"max_rate_v_s = 400.0", b"max_rate_v_s = 401.0"),
+        ("arm.dbc", b"VERSION", b"VERSIOM"),
+        ("controllers/vertical.json", b'"kp"', b'"kq"'),
+        ("controllers/horizontal.json", b"}", b"\xff"),
+        ("setpoints/rotation.csv", b"0.05,0.1", b"0.05,0.2"),
+    ],
+)
+def test_a_changed_document_is_refused_and_named(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, before: bytes, after: bytes
+) -> None:
+    """With a right CRC, as an editor of recordings writes it; even where replay would find no difference."""
+
+    def change(attachment: str, data: bytes) -> bytes:
+        assert attachment != name or before in data
+        return data.replace(before, after, 1) if attachment == name else data
+
+    changed = rewritten(short, tmp_path / "changed.mcap", attachments=change)
+    assert main(["replay", "--verify", str(changed)]) == 2
+    told = capsys.readouterr().err
+    assert str(changed) in told
+    assert f"the attachment {name} was changed" in told
+
+
+def test_a_missing_document_is_named(short: Path, tmp_path: Path) -> None:
+    def rename(_name: str, entries: dict[str, str]) -> dict[str, str]:
+        return {key.replace("arm.dbc", "leg.dbc"): value for key, value in entries.items()}
+
+    with pytest.raises(RecordingError, match=r"the attachment leg\.dbc is missing"):
+        verify(Recording(rewritten(short, tmp_path / "changed.mcap", metadata=rename)))
+
+
+def test_a_changed_setpoint_is_refused(short: Path, tmp_path: Path) -> None:
+    """Far in the future, so that no period of the recording tells."""
+
+    def change(name: str, entries: dict[str, str]) -> dict[str, str]:
+        return entries | {"vertical": "step:0.1@9"} if name == "setpoints" else entries
+
+    with pytest.raises(RecordingError, match=r"metadata run\.configuration sha256"):
+        verify(Recording(rewritten(short, tmp_path / "changed.mcap", metadata=change)))
+
+
+def test_every_changed_byte_of_a_file_is_found(short: Path, tmp_path: Path) -> None:
+    """Whichever record it is in; none is left out, since CRCs cover all but themselves."""
+    content = short.read_bytes()
+    kinds = kinds_of_records(content)
+    changed = tmp_path / "changed.mcap"
+    found: Counter[str] = Counter()
+    for place in range(0, len(content), 3):
+        bit = 1 << place % 8
+        changed.write_bytes(content[:place] + bytes([content[place] ^ bit]) + content[place + 1 :])
+        with pytest.raises(RecordingError, match=str(changed)):
+            verify(Recording(changed))
+            pytest.fail(f"byte {place} ({kinds[place]}), bit {bit}")
+        found[kinds[place]] += 1
+    assert found.keys() == set(kinds)
+
+
+def kinds_of_records(content: bytes) -> list[str]:
+    """What each byte of a file belongs to."""
+    kinds = ["magic"] * len(MCAP0_MAGIC)
+    while len(kinds) < len(content) - len(MCAP0_MAGIC):
+        opcode, length = struct.unpack_from("<BQ", content, len(kinds))
+        name = Opcode(opcode).name
+        kinds += [f"{name} head"] * 9 + [name] * length
+    return kinds + ["magic"] * len(MCAP0_MAGIC)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("ATTACHMENT", "the attachment rig.toml is damaged"),
+        ("CHUNK", "the chunk at byte"),
+        ("METADATA", "damaged: the CRC of bytes 0 to"),
+        ("MESSAGE_INDEX", "damaged: the CRC of bytes 0 to"),
+        ("STATISTICS", "damaged: the CRC of bytes"),
+        ("FOOTER", "damaged: the CRC of bytes"),
+        ("DATA_END head", "its records do not lead to its end"),
+        ("CHUNK head", "damaged"),
+    ],
+)
+def test_damage_is_told_in_words(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, words: str
+) -> None:
+    content = bytearray(short.read_bytes())
+    place = kinds_of_records(content).index(kind)
+    place += {"ATTACHMENT": 500, "CHUNK": 300, "METADATA": 40, "MESSAGE_INDEX": 20}.get(kind, 3)
+    content[place] ^= 0x04
+    changed = tmp_path / "changed.mcap"
+    changed.write_bytes(content)
+    assert main(["replay", "--verify", str(changed)]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"refused    {changed}: ")
+    assert words in told
+    assert told.count("\n") == 1
+
+
+def test_one_bad_file_does_not_hide_the_next(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", "--verify", str(tmp_path / "none.mcap"), str(short)]) == 2
+    told = capsys.readouterr()
+    assert "none.mcap: cannot be read: No such file" in told.err
+    assert "identical" in told.out
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
