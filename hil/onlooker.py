@@ -14,8 +14,12 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+from hil.processes import await_end
+
 CLOSE_TIMEOUT_S = 2.0
 LONGEST_MESSAGE = 65536
+SHOW_CURSOR = "\x1b[?25h"
+"""A live picture hides it."""
 
 
 class Onlooker:
@@ -37,10 +41,10 @@ class Onlooker:
             self._socket.send(json.dumps(message).encode())
 
     def close(self) -> None:
-        """Let the onlooker finish what it has, and wait for it."""
+        """Let the onlooker finish what it has; one that does not is killed."""
         self._socket.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(CLOSE_TIMEOUT_S)
+        if await_end(self._process, CLOSE_TIMEOUT_S) is None and sys.stderr.isatty():
+            sys.stderr.write(SHOW_CURSOR)
 
 
 def messages(file_descriptor: int) -> Iterator[dict[str, Any]]:

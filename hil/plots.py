@@ -66,6 +66,7 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
     try:
         figure.savefig(path, format="png")
     except OSError as error:
+        path.unlink(missing_ok=True)
         raise RecordingError(f"{path}: the plot cannot be written: {error.strerror}") from None
 
 

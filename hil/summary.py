@@ -17,6 +17,7 @@ from hil.recording.reader import Recording
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+    from rich.text import Text
 
 SETTLING_BAND = 0.02
 """Of the step's size."""
@@ -81,6 +82,16 @@ class Summary:
     periods_without_sample: int
     frames_received: int
     frames_sent: int
+    frames_dropped: int | None
+    """Received by this machine and lost in it, since the loop did not take them in time. None: not known."""
+    frames_not_sent: int | None
+    """Refused by the bus, whose queue was full."""
+    frames_rejected: int | None
+    """Received, and no good sample, heartbeat or emergency."""
+    samples_lost: int | None
+    """Missing by the ADC board's counter."""
+    error_frames: int | None
+    """Reported by the bus."""
     messages_dropped: int
     """Not recorded, because the recorder process fell behind or ended."""
     complete: bool
@@ -104,9 +115,17 @@ def summarise(recording: Recording) -> Summary:
     axes = {
         name: _axis_summary(recording.axis(name), unit, recording) for name, unit in recording.axes.items()
     }
-    dropped = [
-        value for key, value in recording.metadata.get("recorder", {}).items() if key.startswith("dropped ")
-    ]
+    ending = recording.metadata.get("ending", {})
+    dropped, not_sent, rejected, lost, error_frames = (
+        int(ending[key]) if ending.get(key, "").isdecimal() else None
+        for key in (
+            "frames dropped by the kernel",
+            "frames not sent",
+            "rejected frames",
+            "lost samples",
+            "error frames",
+        )
+    )
     return Summary(
         axes={name: summary for name, summary in axes.items() if summary is not None},
         lateness=_quantiles(timing["wake_ns"] - timing["deadline_ns"]),
@@ -116,7 +135,12 @@ def summarise(recording: Recording) -> Summary:
         periods_without_sample=len(timing) - len(fresh),
         frames_received=counts["/can/rx"],
         frames_sent=counts["/can/tx"],
-        messages_dropped=sum(int(value) for value in dropped),
+        frames_dropped=dropped,
+        frames_not_sent=not_sent,
+        frames_rejected=rejected,
+        samples_lost=lost,
+        error_frames=error_frames,
+        messages_dropped=recording.messages_dropped,
         complete=recording.complete,
     )
 
@@ -222,10 +246,27 @@ def _rendered(summary: Summary) -> RenderableType:
         loop.add_row(name, *(f"{value:.0f} µs" for value in asdict(quantiles).values()))
     counts = (
         f"{summary.periods} periods, {summary.missed_periods} missed, "
-        f"{summary.periods_without_sample} without a sample\n"
-        f"{summary.frames_received} frames received, {summary.frames_sent} sent; "
-        f"{summary.messages_dropped} messages not recorded"
+        f"{summary.periods_without_sample} without a sample; "
+        f"{summary.frames_received} frames received, {summary.frames_sent} sent"
     )
     tables = [table for table in (steps, tracking) if table.row_count]
     cut_off = [] if summary.complete else ["The recording was cut off; this is what it holds."]
-    return Group(*tables, loop, counts, *cut_off)
+    return Group(*tables, loop, counts, _losses(summary), *cut_off)
+
+
+def _losses(summary: Summary) -> Text:
+    """What went missing, loudly; or that nothing did."""
+    from rich.text import Text
+
+    counted = {
+        "frames dropped by this machine": summary.frames_dropped,
+        "frames not sent": summary.frames_not_sent,
+        "frames rejected": summary.frames_rejected,
+        "samples lost": summary.samples_lost,
+        "error frames": summary.error_frames,
+        "messages not recorded": summary.messages_dropped,
+    }
+    bad = [f"{count} {what}" for what, count in counted.items() if count]
+    if bad:
+        return Text(f"ATTENTION: {', '.join(bad)}", style="bold red")
+    return Text("nothing dropped, rejected or lost" if summary.complete else "")

@@ -21,6 +21,7 @@ from hil import __version__
 from hil.errors import LinkError
 from hil.events import Event, Severity
 from hil.gateway import Gateway
+from hil.processes import await_end
 from hil.recording.recorder import Recorder, RecorderReport, RunHeader
 from hil.run_setup import RunSetup
 from hil.shells.run_plan import RunPlan, StopRequest
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 LOCKSTEP_EPOCH_NS = 1_000_000_000_000_000_000
 """Simulated time begins here (2001-09-09), so that lockstep files depend on nothing but the setup."""
 SIMULATED = "sim"
+BOARDS_PATIENCE_S = 2.0
 MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".csv": "text/csv"}
 
 
@@ -122,6 +124,7 @@ def _ending(plan: RunPlan, gateway: Gateway) -> dict[str, str]:
         "missed periods": str(gateway.missed_periods),
         "rejected frames": str(gateway.rejected_frames),
         "lost samples": str(gateway.lost_samples),
+        "error frames": str(gateway.error_frames),
     }
 
 
@@ -141,7 +144,7 @@ def _boards_process(spec: str, options: argparse.Namespace) -> Iterator[None]:
         yield
     finally:
         process.terminate()
-        process.wait()
+        await_end(process, BOARDS_PATIENCE_S)
 
 
 def _stop_on_signals() -> StopRequest:

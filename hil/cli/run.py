@@ -8,12 +8,12 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from firmware_sim.plant_options import add_plant_options, check_plant_options
 from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
+from hil.cli.record_path import figure_of, picture_of, recording_path
 from hil.errors import DocumentError, HilError
 from hil.recording.recorder import RecorderReport
 from hil.run_setup import RunSetup, load_setup, read_text, shipped_controllers
@@ -43,8 +43,7 @@ def main(argv: list[str]) -> int:
         sys.stderr.write("The scenario's events are the simulated arm's: firmware-sim --scenario has them.\n")
     duration_s = options.duration or (scenario.duration_s if scenario else DEFAULT_DURATION_S)
     plan = RunPlan(duration_s, setup.rig.loop.period_s)
-    path: Path = options.record or _default_path()
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path = recording_path(options.record, duration_s, is_drawn_twice=scenario is not None)
     if options.lockstep:
         report = run_lockstep(setup, plan, path, duration_s, options)
     else:
@@ -113,20 +112,24 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
 
     console = Console(highlight=False, soft_wrap=True)
     if report.failure:
-        console.print(f"recording: {report.failure}", style="red")
-    recording = Recording(report.path)
+        lost = sum(report.dropped.values())
+        console.print(f"recording: {report.failure}; {lost} messages were not recorded", style="red")
+    fault = ""
     try:
+        recording = Recording(report.path)
+        fault = recording.metadata.get("ending", {}).get("fault", "")
         console.print(summarise(recording).table())
-        picture = report.path.with_suffix(".png")
+        console.print(f"recording  {report.path}  (opens in Foxglove and PlotJuggler)")
+        picture = picture_of(report.path)
         plot_run(recording, picture)
-        console.print(f"recording  {report.path}  (opens in Foxglove and PlotJuggler)\nplot       {picture}")
-        console.print(f"next       hil replay --verify {report.path}")
+        console.print(f"plot       {picture}")
         if scenario is not None:
-            figure = report.path.with_name(f"{report.path.stem}-figure.png")
+            figure = figure_of(report.path)
             plot_run(recording, figure, axes=scenario.figure_axes, title=scenario.title)
             console.print(f"figure     {figure}")
+        console.print(f"next       hil replay --verify {report.path}")
     except HilError as error:
-        console.print(f"no summary: {error}", style="yellow")
+        console.print(f"incomplete: {error}", style="yellow")
     if plan.ending in (Ending.COMPLETED, Ending.INTERRUPTED):
         return 1 if report.failure else 0
     if plan.ending is Ending.NO_BOARDS:
@@ -136,7 +139,6 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
             style="red",
         )
     else:
-        fault = recording.metadata.get("ending", {}).get("fault", "")
         console.print(f"ended by {plan.ending}: {fault}", style="red")
     return 1
 
@@ -159,13 +161,3 @@ def _seconds(text: str) -> float:
     if not (math.isfinite(value) and value > 0):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds over 0")
     return value
-
-
-def _default_path() -> Path:
-    name = time.strftime("%Y%m%d-%H%M%S")
-    path = Path("runs") / f"{name}.mcap"
-    number = 1
-    while path.exists():
-        number += 1
-        path = Path("runs") / f"{name}-{number}.mcap"
-    return path

@@ -1,11 +1,11 @@
-"""The display process of a run: prints events, and a live status line where there is a terminal."""
+"""The display process of a run: prints events, and a live status where there is a terminal."""
 
 from __future__ import annotations
 
 import sys
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
@@ -33,21 +33,28 @@ def main(file_descriptor: int) -> None:
                 live.console.print(line, soft_wrap=True)
             elif "state" in message:
                 if console.is_terminal:
-                    live.update(_status(message, axes), refresh=True)
+                    live.update(status(message, axes), refresh=True)
             else:
                 axes = message["axes"]
 
 
-def _status(message: dict[str, Any], axes: list[list[str]]) -> Text:
-    """One line: state, axes as position/setpoint and valve voltage, timing."""
-    line = Text(no_wrap=True, overflow="ellipsis")
-    line.append(f"{message['state']:8}", style=STATE_STYLES.get(message["state"], "cyan"))
+def status(message: dict[str, Any], axes: list[list[str]]) -> RenderableType:
+    """State and timing, then a line an axis: position, setpoint and valve voltage. 80 columns are enough."""
+    first = _line(f"{message['state']:8}", STATE_STYLES.get(message["state"], "cyan"))
+    first.append(f"{message['time_s']:8.1f} s   late ≤ {message['lateness_ms']:.2f} ms   ")
+    first.append(f"missed {message['missed']}   ", style="yellow" if message["missed"] else "")
+    first.append(f"rejected {message['rejected']}", style="yellow" if message["rejected"] else "")
+    lines = [first]
     for (name, unit), (r, y, volts) in zip(axes, message["axes"], strict=True):
-        line.append(f" {name} {y:+.4f}/{r:+.4f} {unit} {volts:.2f} V ", style="")
-    line.append(f" late ≤ {message['lateness_ms']:.2f} ms, missed {message['missed']}", style="dim")
-    if message["rejected"]:
-        line.append(f", rejected {message['rejected']}", style="yellow")
-    return line
+        lines.append(
+            _line(f"  {name:12} {y:+8.4f} {unit}   setpoint {r:+8.4f} {unit}   valve {volts:5.2f} V")
+        )
+    return Group(*lines)
+
+
+def _line(text: str, style: str = "") -> Text:
+    line = Text(no_wrap=True, overflow="ellipsis")
+    return line.append(text, style=style)
 
 
 if __name__ == "__main__":

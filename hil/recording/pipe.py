@@ -13,13 +13,15 @@ from pathlib import Path
 
 from hil.errors import RecordingError
 from hil.events import Event, Severity
+from hil.processes import await_end
 from hil.recording.handover import BATCH, BLOCK_HEADER, LOSSLESS, REAL_TIME, index_messages
 
 PROCESS_MODULE = "hil.recording.recorder_process"
 PIPE_BYTES = 1024 * 1024
 BACKLOG_BYTES = 16 * 1024 * 1024
 """More than three minutes of a three-axis run; what comes on top is dropped."""
-CLOSE_TIMEOUT_S = 30.0
+PATIENCE_S = 10.0
+"""For a recorder process that takes nothing while somebody waits for it: a slow disk, not one that hangs."""
 
 
 class RecorderPipe:
@@ -66,7 +68,7 @@ class RecorderPipe:
         self._backlog_bytes += len(block)
         self.push()
         if self._lossless:
-            self._wait_for_backlog(None)
+            self.drain()
 
     def push(self) -> None:
         """Write as much of the backlog as the pipe takes now."""
@@ -87,28 +89,22 @@ class RecorderPipe:
 
     def drain(self) -> None:
         """Wait until everything is written, or the process has taken nothing for too long."""
-        self._wait_for_backlog(CLOSE_TIMEOUT_S)
+        while self._backlog:
+            if not select.select([], [self._stdin], [], PATIENCE_S)[1]:
+                self._process.kill()
+                self._fail(f"the recorder process took nothing for {PATIENCE_S:g} s, and was killed")
+            self.push()
 
     def close(self) -> None:
         """Write what is left, and wait until the file is whole; ``failure`` says when it is not."""
         self.drain()
         self._stdin.close()
-        try:
-            status = self._process.wait(CLOSE_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            self._fail(f"the recorder process did not end within {CLOSE_TIMEOUT_S:.0f} s")
-        else:
-            if status != 0:
-                self._fail(self._last_words())
+        status = await_end(self._process, PATIENCE_S)
+        if status is None:
+            self._fail(f"the recorder process did not end within {PATIENCE_S:g} s, and was killed")
+        elif status != 0:
+            self._fail(self._last_words())
         self._stderr.close()
-
-    def _wait_for_backlog(self, patience_s: float | None) -> None:
-        while self._backlog:
-            _, writable, _ = select.select([], [self._stdin], [], patience_s)
-            if not writable:
-                self._fail(f"the recorder process took nothing for {CLOSE_TIMEOUT_S:.0f} s")
-                return
-            self.push()
 
     def _drop(self, block: bytearray) -> None:
         kind, _ = BLOCK_HEADER.unpack_from(block)

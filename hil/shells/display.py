@@ -22,6 +22,7 @@ class Display:
         """``axes`` are (name, unit)."""
         self._onlooker = Onlooker("hil.cli.watch")
         self._worst_lateness_ns = 0
+        self._began_ns: int | None = None
         self._onlooker.tell({"axes": axes})
 
     def event(self, event: Event) -> None:
@@ -31,12 +32,14 @@ class Display:
     def cycle(self, cycle: Cycle, gateway: Gateway) -> None:
         """Show a status now and then."""
         self._worst_lateness_ns = max(self._worst_lateness_ns, cycle.wake_ns - cycle.deadline_ns)
+        if self._began_ns is None:
+            self._began_ns = cycle.deadline_ns
         if cycle.number % STATUS_PERIODS:
             return
         self._onlooker.tell(
             {
                 "state": gateway.state.name.lower(),
-                "period": cycle.number,
+                "time_s": (cycle.deadline_ns - self._began_ns) / 1e9,
                 "axes": [[s.setpoint, s.position, s.command_v] for s in cycle.axes],
                 "lateness_ms": self._worst_lateness_ns / 1e6,
                 "missed": gateway.missed_periods,

@@ -33,6 +33,7 @@ FLOORS = {
     "hil.doctor": 3,
     "hil.links.*": 3,
     "hil.plots": 3,
+    "hil.processes": 3,
     "hil.recording.*": 3,
     "hil.rights": 3,
     "hil.onlooker": 3,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import socket
@@ -10,7 +11,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from hil.cli.watch import status
 from hil.events import AxisSignals, Cycle, Event, Severity
 from hil.gateway import Gateway
 from hil.onlooker import Onlooker, messages
@@ -44,6 +47,35 @@ def test_a_stalled_onlooker_loses_messages_and_holds_nobody_up(stalled: Onlooker
     stalled.close()
 
 
+def test_an_onlooker_that_never_ends_is_killed(stalled: Onlooker, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.onlooker.CLOSE_TIMEOUT_S", 0.05)
+    os.kill(stalled._process.pid, signal.SIGSTOP)
+    stalled.close()
+    assert stalled._process.returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("state", ["running", "fault"])
+def test_the_live_status_fits_80_columns_with_three_axes(state: str) -> None:
+    console = Console(width=80, file=io.StringIO(), force_terminal=True, color_system=None)
+    message = {
+        "state": state,
+        "time_s": 12345.6,
+        "lateness_ms": 12.34,
+        "missed": 1234,
+        "rejected": 567,
+        "axes": [[-0.15, -0.1499, 5.0], [0.1, 0.09, 4.5], [-1.5, 1.5, 9.99]],
+    }
+    console.print(status(message, [["vertical", "m"], ["horizontal", "m"], ["rotation", "rad"]]))
+    told = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "…" not in told
+    first, *axes = told.splitlines()
+    for word in (state, "12345.6 s", "late ≤ 12.34 ms", "missed 1234", "rejected 567"):
+        assert word in first
+    assert len(axes) == 3
+    for word in ("rotation", "+1.5000 rad", "-1.5000 rad", "9.99 V"):
+        assert word in axes[2]
+
+
 def test_the_display_prints_events_and_no_status_where_there_is_no_terminal() -> None:
     program = """
 from hil.events import Event, Severity
@@ -75,10 +107,12 @@ def test_a_status_tells_the_worst_lateness_since_the_last(monkeypatch: pytest.Mo
     signals = AxisSignals(0.1, 0.09, 0.01, 0.1, 5.1, 7.7)
     for number in range(1, 2 * STATUS_PERIODS + 1):
         late_ns = 3_000_000 if number == 5 else 100_000
-        display.cycle(Cycle(number, 0, late_ns, 0, gateway.state, True, (signals,)), gateway)
+        due_ns = 7_000_000_000 + number * 11_200_000
+        display.cycle(Cycle(number, due_ns, due_ns + late_ns, 0, gateway.state, True, (signals,)), gateway)
     display.event(Event(Severity.INFO, "adc", "operational"))
     axes, first, second, event = told.messages
     assert axes == {"axes": [("vertical", "m")]}
     assert (first["lateness_ms"], second["lateness_ms"]) == (3.0, 0.1)
     assert first["axes"] == [[0.1, 0.09, 5.1]]
+    assert first["time_s"] == pytest.approx((STATUS_PERIODS - 1) * 0.0112)
     assert event == {"event": [20, "adc", "operational"]}

@@ -192,6 +192,64 @@ def test_the_table_fits_a_terminal_and_shows_what_the_dict_holds(tmp_path: Path)
     assert plain["lateness"]["worst_us"] == 100.0
 
 
+LOSSES = {
+    "frames dropped by the kernel": "frames_dropped",
+    "frames not sent": "frames_not_sent",
+    "rejected frames": "frames_rejected",
+    "lost samples": "samples_lost",
+    "error frames": "error_frames",
+}
+
+
+def told_of(tmp_path: Path, ending: dict[str, str]) -> tuple[Summary, str]:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(recorder, 300)
+    recorder.close({"ending": ending})
+    summary = summarise(Recording(path))
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary.table())
+    return summary, console.export_text()
+
+
+@pytest.mark.parametrize("key", LOSSES)
+def test_what_was_lost_is_told_loudly(tmp_path: Path, key: str) -> None:
+    summary, text = told_of(tmp_path, dict.fromkeys(LOSSES, "0") | {key: "17"})
+    assert {name: summary.as_dict()[name] for name in LOSSES.values()} == dict.fromkeys(
+        LOSSES.values(), 0
+    ) | {LOSSES[key]: 17}
+    (line,) = [line for line in text.splitlines() if line.startswith("ATTENTION: 17 ")]
+    assert line.count(",") == 0
+
+
+def test_that_nothing_was_lost_is_told(tmp_path: Path) -> None:
+    _, text = told_of(tmp_path, dict.fromkeys(LOSSES, "0"))
+    assert "nothing dropped, rejected or lost" in text
+    assert "ATTENTION" not in text
+
+
+def test_what_is_not_known_is_none(tmp_path: Path) -> None:
+    summary, text = told_of(tmp_path, {"frames dropped by the kernel": "unknown"})
+    assert summary.frames_dropped is None
+    assert summary.frames_rejected is None
+    assert "ATTENTION" not in text
+
+
+def test_messages_that_were_not_recorded_are_told_loudly(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(recorder, 300)
+    recorder._pipe.dropped.update({1: 5, 4: 2})
+    recorder.close({})
+    summary = summarise(Recording(path))
+    assert summary.messages_dropped == 7
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary.table())
+    assert "ATTENTION: 7 messages not recorded" in console.export_text()
+
+
 def test_a_cut_off_recording_says_so(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     record_run(path, 300)

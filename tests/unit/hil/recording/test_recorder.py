@@ -225,3 +225,31 @@ def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path: Path) -> None
     recording = Recording(path)
     assert not recording.complete
     assert 0 < len(recording.timing()) < 5000
+
+
+@pytest.mark.parametrize("lossless", [False, True])
+def test_a_recorder_process_that_hangs_is_killed_after_a_while(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lossless: bool
+) -> None:
+    """While the loop hands over without loss, or at the end of a run."""
+    monkeypatch.setattr(pipe, "PATIENCE_S", 0.05)
+    path = tmp_path / "run.mcap"
+    with recorder_process(path, lossless=lossless) as (recorder, process_id):
+        os.kill(process_id, signal.SIGSTOP)
+        news = record_periods(recorder, 3000)
+        report = recorder.close({})
+        assert process_id not in children_of(os.getpid())
+    assert report.failure == "the recorder process took nothing for 0.05 s, and was killed"
+    assert bool(news) == lossless
+    assert sum(report.dropped.values()) > 1000
+
+
+def test_a_recorder_process_that_takes_all_and_does_not_end_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipe, "PATIENCE_S", 0.05)
+    with recorder_process(tmp_path / "run.mcap", lossless=False) as (recorder, process_id):
+        os.kill(process_id, signal.SIGSTOP)
+        record_periods(recorder, 3)
+        report = recorder.close({})
+    assert report.failure == "the recorder process did not end within 0.05 s, and was killed"
