@@ -140,14 +140,68 @@ def test_the_table_lists_no_module_that_is_gone() -> None:
     assert {name.removesuffix(".*") for name in FLOORS} <= set(OURS["hil"])
 
 
+SLOW = {"scipy", "control", "matplotlib", "rich", "mcap", "zstandard"}
+"""What only a summary, a picture or another process needs."""
+
+AT_THE_FIRST_PERIOD = """
+import sys
+from hil.cli import main
+from hil.shells.session import Session
+
+on_deadline = Session.on_deadline
+
+def first(self, now_ns):
+    print("loaded", *sorted(sys.modules))
+    Session.on_deadline = on_deadline
+    on_deadline(self, now_ns)
+
+Session.on_deadline = first
+sys.exit(main(sys.argv[1:]))
+"""
+
+AS_THE_BOARDS_BEGIN = """
+import sys
+from firmware_sim import cli
+
+cli.simulate = lambda *_: print("loaded", *sorted(sys.modules))
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "allowed"),
+    [
+        (AT_THE_FIRST_PERIOD, ["run", "--duration", "0.1", "--record", "run.mcap"], set()),
+        (
+            AT_THE_FIRST_PERIOD,
+            ["run", "--lockstep", "--scenario", "fig14", "--duration", "0.1", "--record", "run.mcap"],
+            {"rich"},
+        ),
+        (AS_THE_BOARDS_BEGIN, ["--bus", "pty"], set()),
+        (AS_THE_BOARDS_BEGIN, ["--bus", "pty", "--linear"], set()),
+    ],
+    ids=["hil run", "hil run --lockstep", "firmware-sim", "firmware-sim --linear"],
+)
+def test_a_daemon_is_ready_without_the_slow_libraries(
+    tmp_path: Path, program: str, arguments: list[str], allowed: set[str]
+) -> None:
+    """On the way to its first period, as it really goes."""
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    (loaded,) = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("loaded ")]
+    assert "hil.rig" in loaded
+    assert SLOW & set(loaded) == allowed
+
+
 @pytest.mark.parametrize("command", ["hil.cli", "firmware_sim.cli"])
-def test_a_daemon_is_ready_without_the_slow_libraries(command: str) -> None:
+def test_help_comes_without_the_slow_libraries(command: str) -> None:
     arguments = ["run", "--help"] if command == "hil.cli" else ["--help"]
     program = (
         f"import sys, {command}\n"
         f"try: {command}.main({arguments})\n"
         "except SystemExit: pass\n"
-        "print(sorted({'scipy', 'control', 'matplotlib', 'rich', 'asyncio'} & set(sys.modules)))"
+        f"print(sorted({SLOW | {'can'}} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
