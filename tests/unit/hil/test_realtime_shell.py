@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from firmware_sim.linear_plant import LinearPlant
@@ -17,7 +18,7 @@ from hil.frames import Frame
 from hil.gateway import Gateway
 from hil.life_cycle import State
 from hil.links import Received
-from hil.recording.reader import DeadlineCalled, FrameSent, Recording
+from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Recording
 from hil.recording.recorder import Recorder, RunHeader
 from hil.run_setup import RunSetup, load_setup
 from hil.shells import realtime
@@ -50,7 +51,13 @@ class LinkToBoards:
         self.fails_after_received: int | None = None
         self.stall_ns: dict[int, int] = {}
         """After so many sent frames, time jumps by so much."""
-        self.sent = self.received = 0
+        self.stall_at_sync_ns: dict[int, int] = {}
+        """After so many SYNC frames, time jumps by so much."""
+        self.wakes_late_ns: dict[int, int] = {}
+        """After so many SYNC frames, waiting in vain takes so much longer than it should."""
+        self.babble_at_sync: dict[int, int] = {}
+        """After so many SYNC frames, so many frames that nobody knows."""
+        self.sent = self.received = self.syncs = 0
         self._push(self._boards.start(clock.now_ns))
 
     def send(self, frame: Frame) -> None:
@@ -58,6 +65,10 @@ class LinkToBoards:
             raise LinkError("cannot send: unplugged")
         self.sent += 1
         self._push(self._boards.receive(frame, self._clock.now_ns))
+        if frame.id == codec.SYNC:
+            self.syncs += 1
+            self._push((Frame(0x7F0),) * self.babble_at_sync.get(self.syncs, 0))
+            self._clock.now_ns += self.stall_at_sync_ns.get(self.syncs, 0)
         self._clock.now_ns += self.stall_ns.get(self.sent, 0)
 
     def receive(self, timeout_s: float) -> Received | None:
@@ -71,7 +82,7 @@ class LinkToBoards:
             self._clock.now_ns = max(self._clock.now_ns, arrival_ns)
             self.received += 1
             return Received(frame, arrival_ns, "kernel")
-        self._clock.now_ns = end_ns
+        self._clock.now_ns = end_ns + (self.wakes_late_ns.pop(self.syncs, 0) if timeout_s > 0 else 0)
         return None
 
     def _push(self, frames: tuple[Frame, ...]) -> None:
@@ -164,6 +175,34 @@ def test_a_long_stall_is_a_fault_that_says_what_it_was(bench: Bench) -> None:
     assert bench.gateway.fault_reason is not None
     assert "limit 5 (rig: adc.stale_after_periods)" in bench.gateway.fault_reason
     assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+def test_an_answer_that_waits_is_taken_before_a_late_deadline(bench: Bench) -> None:
+    """Else it would be mistaken for an answer to the next SYNC, and rejected."""
+    bench.link.wakes_late_ns = {50: 5_000_000}
+    bench.link.stall_at_sync_ns = {51: 8_000_000}
+    recording = bench.run()
+    assert bench.plan.ending is Ending.COMPLETED
+    timing = recording.timing()
+    assert list(np.diff(timing["wake_ns"])[49:51]) == [PERIOD_NS + 5_000_000, 8_000_000]
+    assert timing["fresh"][timing["state"] == State.RUNNING].all()
+    assert bench.gateway.rejected_frames == 0
+    assert bench.gateway.missed_periods == 0
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+def test_a_babbling_bus_does_not_put_a_deadline_off(bench: Bench) -> None:
+    """So many frames of a backlog, then what is due."""
+    bench.link.stall_at_sync_ns = {50: 12_000_000}
+    bench.link.babble_at_sync = {50: 3 * realtime.MOST_WAITING_FRAMES}
+    recording = bench.run()
+    assert bench.plan.ending is Ending.COMPLETED
+    kinds = [type(call) for call in recording.calls()]
+    begins = [place for place, kind in enumerate(kinds) if kind is DeadlineCalled]
+    received = [kinds[start:end].count(FrameReceived) for start, end in pairwise(begins)]
+    assert received[49] == realtime.MOST_WAITING_FRAMES
+    assert sum(received[49:52]) > 3 * realtime.MOST_WAITING_FRAMES
     assert verify(recording).frames_compared == bench.link.sent
 
 
