@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
+from hil.wire.codec import SYNC
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -75,7 +76,7 @@ class Summary:
     lateness: Quantiles
     """When the core was called after its deadline."""
     response: Quantiles
-    """From SYNC to when the command had left, in periods with a good sample."""
+    """From when SYNC had left to when the command had, in periods with a good sample."""
     periods: int
     missed_periods: int
     """Deadlines that passed before the core was called."""
@@ -129,7 +130,7 @@ def summarise(recording: Recording) -> Summary:
     return Summary(
         axes={name: summary for name, summary in axes.items() if summary is not None},
         lateness=_quantiles(timing["wake_ns"] - timing["deadline_ns"]),
-        response=_quantiles(fresh["sent_ns"] - fresh["wake_ns"]),
+        response=_quantiles(_response_ns(fresh, recording.times_sent(SYNC))),
         periods=len(timing),
         missed_periods=skipped,
         periods_without_sample=len(timing) - len(fresh),
@@ -143,6 +144,12 @@ def summarise(recording: Recording) -> Summary:
         messages_dropped=recording.messages_dropped,
         complete=recording.complete,
     )
+
+
+def _response_ns(fresh: Rows, sync_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """From the last SYNC before each sample to the period's command."""
+    last = np.searchsorted(sync_ns, fresh["receive_ns"], side="right") - 1
+    return np.asarray((fresh["sent_ns"] - sync_ns[last])[last >= 0], np.int64)
 
 
 def running_rows(rows: Rows, recording: Recording) -> Rows:

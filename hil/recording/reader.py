@@ -162,6 +162,13 @@ class Recording:
             | {"state": rows["state"], "fresh": rows["fresh"]}
         )
 
+    def times_sent(self, identifier: int) -> npt.NDArray[np.int64]:
+        """When data frames of an 11-bit identifier had been handed to the link."""
+        rows = self._contents.rows("/can/tx", self.bus)
+        chosen = (rows["id"] == identifier) & ~rows["is_extended"] & ~rows["is_rtr"]
+        times_ns: npt.NDArray[np.int64] = rows["log_time"][chosen].astype(np.int64)
+        return times_ns - self.epoch_offset_ns
+
     def events(self) -> list[tuple[int, Event]]:
         """What was reported, with its time in ns."""
         channel = self._contents.channel("/gateway/events").id

@@ -74,8 +74,12 @@ def record_periods(
     axes: int = len(AXES),
     lateness_ns: Callable[[int], int] = lambda number: 100_000,
     response_ns: Callable[[int], int] = lambda number: 400_000,
+    sync_ns: int = 0,
 ) -> list[Event]:
-    """Report periods as a live shell does, all axes with the same signals; returns the recorder's news."""
+    """Report periods as a live shell does, all axes with the same signals; returns the recorder's news.
+
+    ``lateness_ns``: deadline to wake-up; ``sync_ns``, ``response_ns``: from there to SYNC, to the command.
+    """
     news = []
     for number in range(first, first + periods):
         deadline_ns = START_NS + number * PERIOD_NS
@@ -83,7 +87,7 @@ def record_periods(
         sent_ns = wake_ns + response_ns(number)
         receive_ns = (wake_ns + sent_ns) // 2
         recorder.deadline_called(deadline_ns, wake_ns)
-        recorder.frame_sent(SYNC, wake_ns)
+        recorder.frame_sent(SYNC, wake_ns + sync_ns)
         sample = Frame(0x190, number.to_bytes(8, "little", signed=True))
         recorder.frame_received(sample, receive_ns, receive_ns + EPOCH_OFFSET_NS - 30_000)
         recorder.frame_sent(Frame(0x220, number.to_bytes(6, "big", signed=True)), sent_ns)

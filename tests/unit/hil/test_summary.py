@@ -144,7 +144,8 @@ def test_timing_is_told_by_values_that_occurred(tmp_path: Path) -> None:
         recorder,
         1000,
         lateness_ns=lambda k: 1000 * (k + 1),
-        response_ns=lambda k: 2_000_000 if k == 500 else 400_000,
+        response_ns=lambda k: 2_070_000 if k == 500 else 470_000,
+        sync_ns=70_000,
     )
     record_periods(recorder, 10, first=1003, lateness_ns=lambda k: 0)
     recorder.close({})
