@@ -13,7 +13,7 @@ import pytest
 from firmware_sim.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.errors import LinkError
-from hil.events import Cycle, Event
+from hil.events import Cycle, Event, Severity
 from hil.frames import Frame
 from hil.gateway import Gateway
 from hil.life_cycle import State
@@ -47,6 +47,7 @@ class LinkToBoards:
         self._boards = SimulatedRig(setup.rig, LinearPlant(setup.rig))
         self._clock = clock
         self._waiting: deque[tuple[int, Frame]] = deque()
+        self.send_takes_ns = 0
         self.fails_after_sent: int | None = None
         self.fails_after_received: int | None = None
         self.stall_ns: dict[int, int] = {}
@@ -64,6 +65,7 @@ class LinkToBoards:
         if self.sent == self.fails_after_sent:
             raise LinkError("cannot send: unplugged")
         self.sent += 1
+        self._clock.now_ns += self.send_takes_ns
         self._push(self._boards.receive(frame, self._clock.now_ns))
         if frame.id == codec.SYNC:
             self.syncs += 1
@@ -92,11 +94,13 @@ class LinkToBoards:
 class Audience:
     def __init__(self) -> None:
         self.events: list[Event] = []
+        self.cycles: list[Cycle] = []
 
     def event(self, event: Event) -> None:
         self.events.append(event)
 
-    def cycle(self, _cycle: Cycle, _gateway: Gateway) -> None: ...
+    def cycle(self, cycle: Cycle, _gateway: Gateway) -> None:
+        self.cycles.append(cycle)
 
 
 class Bench:
@@ -223,3 +227,38 @@ def test_a_link_that_fails_to_receive_ends_the_run_and_still_verifies(bench: Ben
     assert bench.plan.ending is Ending.LINK
     assert [event.text for event in bench.audience.events][-2] == "cannot receive: unplugged"
     assert verify(recording).frames_compared == bench.link.sent
+
+
+def test_a_command_is_sent_when_the_link_has_taken_it(bench: Bench) -> None:
+    bench.link.send_takes_ns = 30_000
+    recording = bench.run()
+    running = recording.timing()[recording.timing()["state"] == State.RUNNING]
+    assert set(running["sent_ns"] - running["computed_ns"]) == {30_000}
+    assert set(running["sent_ns"]) <= set(recording.times_sent(codec.RPDO1_DAC))
+    assert set(running["wake_ns"] + 30_000) <= set(recording.times_sent(codec.SYNC))
+
+
+def test_people_are_told_of_every_event_and_period_and_of_the_recorders_troubles(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    note = Event(Severity.INFO, "rights", "granted: nothing")
+    news = Event(Severity.ERROR, "recorder", "recording ended: No space left on device")
+    handed_over = iter([None] * 50 + [news])
+    real_hand_over = Recorder.hand_over
+
+    def hand_over(recorder: Recorder) -> Event | None:
+        real_hand_over(recorder)
+        return next(handed_over, None)
+
+    monkeypatch.setattr(Recorder, "hand_over", hand_over)
+    bench.session.note(note)
+    recording = bench.run()
+    recorded = [event for _, event in recording.events()]
+    assert note in recorded
+    assert [event for event in bench.audience.events if event != news] == recorded
+    assert bench.audience.events.count(news) == 1
+    assert [cycle.number for cycle in bench.audience.cycles] == list(recording.timing()["number"])
+    report = verify(recording)
+    assert report.frames_compared == bench.link.sent
+    assert report.events_compared == len(recorded) - 1, "the core gave no rights"
+    assert report.periods_compared == len(recording.timing())
