@@ -5,10 +5,13 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 
 from hil import __version__
 from hil.errors import HilError
@@ -27,6 +30,27 @@ PLUGINS = "hil.commands"
 def main(argv: list[str] | None = None) -> int:
     """Run ``hil`` with ``argv``; returns the exit status."""
     arguments = sys.argv[1:] if argv is None else argv
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a locale without … or µ
+    try:
+        status = _main(arguments)
+        sys.stdout.flush()
+        return status
+    except HilError as error:
+        sys.stderr.write(f"hil {arguments[0]}: {error}\n")
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        _leave_output()
+        return 141
+    except OSError as error:
+        _leave_output()
+        sys.stderr.write(f"hil: {error.filename or 'output'}: {error.strerror}\n")
+        return 1
+
+
+def _main(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         sys.stdout.write(_usage())
         return 0 if arguments else 2
@@ -37,15 +61,12 @@ def main(argv: list[str] | None = None) -> int:
     if command is None:
         sys.stderr.write(f"hil: no command {arguments[0]!r}\n\n{_usage()}")
         return 2
-    try:
-        return command(arguments[1:])
-    except HilError as error:
-        sys.stderr.write(f"hil {arguments[0]}: {error}\n")
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:
-        return 141
+    return command(arguments[1:])
+
+
+def _leave_output() -> None:
+    """Nobody takes it; the interpreter shall not try again at its end."""
+    sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
 
 
 def _find(name: str) -> Callable[[list[str]], int] | None:

@@ -110,7 +110,11 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
     from hil.recording.reader import Recording
     from hil.summary import summarise
 
-    console = Console(highlight=False, soft_wrap=True)
+    class Printer(Console):
+        def on_broken_pipe(self) -> None:
+            self.quiet = True  # `| head`: the plot is made all the same
+
+    console = Printer(highlight=False, soft_wrap=True)
     if report.failure:
         lost = sum(report.dropped.values())
         console.print(f"recording: {report.failure}; {lost} messages were not recorded", style="red")

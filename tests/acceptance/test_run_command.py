@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -98,3 +99,44 @@ def test_silent_bus_is_explained(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "boards did not come up" in done.stdout.lower().replace("\n", " ")
+
+
+def test_a_reader_that_goes_away_costs_no_plot(tmp_path: Path) -> None:
+    """``hil run | head -1``."""
+    path = tmp_path / "run.mcap"
+    command = [*HIL, "run", "--lockstep", "--duration", "1", "--record", str(path)]
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    os.close(writer)
+    assert done.stderr == ""
+    assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["rig"], ["run", "--lockstep", "--duration", "0.1"]])
+def test_output_that_finds_no_room_is_told(tmp_path: Path, arguments: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*HIL, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=tmp_path
+        )
+    assert done.returncode == 1
+    assert done.stderr == "hil: output: No space left on device\n"
+
+
+def test_a_terminal_without_unicode_gets_what_it_can_show(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [*HIL, "run", "--lockstep", "--duration", "1.5", "--record", str(tmp_path / "run.mcap")],
+        capture_output=True,
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+        check=True,
+    )
+    assert b"0?0.1 m" in done.stdout
+
+
+def test_a_plot_in_the_recordings_place_is_refused_before_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "--record", "run.png"]) == 2
+    assert "run.png: a recording's name ends in .mcap" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
