@@ -265,15 +265,15 @@ def _losses(summary: Summary) -> Text:
     """What went missing, loudly; or that nothing did."""
     from rich.text import Text
 
-    counted = {
-        "frames dropped by this machine": summary.frames_dropped,
-        "frames not sent": summary.frames_not_sent,
-        "frames rejected": summary.frames_rejected,
-        "samples lost": summary.samples_lost,
-        "error frames": summary.error_frames,
-        "messages not recorded": summary.messages_dropped,
-    }
-    bad = [f"{count} {what}" for what, count in counted.items() if count]
+    counted = (
+        (summary.frames_dropped, "frame", "dropped by this machine"),
+        (summary.frames_not_sent, "frame", "not sent"),
+        (summary.frames_rejected, "frame", "rejected"),
+        (summary.samples_lost, "sample", "lost"),
+        (summary.error_frames, "error frame", "on the bus"),
+        (summary.messages_dropped, "message", "not recorded"),
+    )
+    bad = [f"{count} {what}{'s' * (count > 1)} {how}" for count, what, how in counted if count]
     if bad:
         return Text(f"ATTENTION: {', '.join(bad)}", style="bold red")
     return Text("nothing dropped, rejected or lost" if summary.complete else "")

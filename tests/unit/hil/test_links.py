@@ -47,6 +47,16 @@ class TestUdp(LinkContract, ErrorFramesToo):
         with open_link(f"udp:{port}") as one, open_link(f"udp:{port}") as other:
             yield one, other
 
+    def test_there_is_more_room_for_a_burst_than_sockets_have_by_themselves(self, pair: Pair) -> None:
+        with (
+            socket.socket(fileno=socket.dup(pair[0].fileno())) as ours,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as usual,
+        ):
+            for buffer in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+                assert ours.getsockopt(socket.SOL_SOCKET, buffer) > usual.getsockopt(
+                    socket.SOL_SOCKET, buffer
+                )
+
     def test_frames_lost_in_a_full_queue_are_counted(self, pair: Pair) -> None:
         sender, receiver = pair
         with socket.socket(fileno=socket.dup(receiver.fileno())) as same:
