@@ -14,8 +14,8 @@
  * Crossley, J. Appl. Mech. 42 (1975), whose force starts from nothing at contact.
  *
  * Time step: a leapfrog. Air stands half a step behind spool, positions and velocities, so that each is stepped
- * with the other halfway: air by the trapezoidal rule linearised at its start, the body by drift, kick and drift,
- * the kick by the midpoint rule with friction implicit in it.
+ * with the other halfway: air by an implicit rule linearised at its start, the body by drift, kick and drift, the
+ * kick by the midpoint rule with friction implicit in it.
  *
  * Only + - * / and sqrt are used, which IEEE 754 rounds in one way, so a run gives the same bytes on every
  * machine. Never compile this with -ffast-math, nor without -ffp-contract=off.
@@ -67,6 +67,8 @@ static const double HEAT_RATIO = 1.4, GAS_J_KG_K = 287.05, GRAVITY_M_S2 = 9.8066
 static const double REFERENCE_KG_M3 = 1.185, REFERENCE_K = 293.15; /* ISO 6358 */
 static const double LINEAR_FROM = 0.99; /* the ratio of pressures over which an orifice is linear */
 static const double MOST_PA = 1e7, MOST_M_S = 1e3;
+static const double PIECES_A_TIME_CONSTANT = 2.0;
+enum { MOST_PIECES = 10000 };
 
 /* ---- air ---- */
 
@@ -111,7 +113,7 @@ static double opening(const struct axis_parameters *p, double spool)
     return 0.5 * p->conductance_m3_s_pa * (lift + sqrt(lift * lift + p->clearance * p->clearance));
 }
 
-/* The midpoint rule. */
+/* The midpoint rule; the spool ends at full travel. */
 static void step_spool(const struct axis_parameters *p, const struct axis_conditions *c, struct axis_state *s, double dt)
 {
     const double half = 0.5 * dt, turn = half * p->spool_rad_s;
@@ -119,13 +121,22 @@ static void step_spool(const struct axis_parameters *p, const struct axis_condit
     const double rate = c->spool_free * (s->spool_rate_1_s + pull) / (1.0 + turn * (turn + 2.0 * p->spool_damping));
     s->spool += dt * rate;
     s->spool_rate_1_s = 2.0 * rate - c->spool_free * s->spool_rate_1_s;
+    if (fabs(s->spool) > 1.0) {
+        s->spool = s->spool > 0.0 ? 1.0 : -1.0;
+        s->spool_rate_1_s = 0.0;
+    }
 }
 
-/* One chamber's part in the implicit step of all pressures: it rises by rise + rise_per_supply times the supply's
- * rise. `volume` is that halfway, `growth` its rate in m3/s. */
+/* How much of its own rise a rate sees in an implicit step that is `stiffness` time constants long: half of it, the
+ * trapezoidal rule, while that is small, and all of it at the other end. So a rise decays by 1/(1 + z + z^2/2), of
+ * second order and L-stable, as the bristle's. */
+static double share_of_rise(double stiffness) { return stiffness > 0.0 ? (1.0 + stiffness) / (2.0 + stiffness) : 0.5; }
+
+/* One chamber's part in the implicit step of all pressures: it rises by rise + rise_per_supply times the mean rise
+ * that it sees of the supply; of its own it sees `share`. */
 struct chamber {
     struct flow in, out;
-    double rise, rise_per_supply;
+    double rise, rise_per_supply, share;
 };
 
 /* What all chambers share in a step. */
@@ -133,15 +144,20 @@ struct surroundings {
     double supply_pa, atmosphere_pa, air_k, density;
 };
 
-static struct chamber solve_chamber(const struct surroundings *around, double pressure, double air_kg, double volume,
-                                    double growth, double wall_w_k, double inlet, double outlet, double critical,
-                                    double dt)
+/* A chamber as the step finds it: volume now, its rate in m3/s, openings to the supply and to the atmosphere. */
+struct vessel {
+    double volume, growth, inlet, outlet;
+};
+
+static struct chamber solve_chamber(const struct surroundings *around, const struct vessel *vessel, double pressure,
+                                    double air_kg, double wall_w_k, double critical, double dt)
 {
-    const double k_per_pa = (volume - 0.5 * dt * growth) / (air_kg * GAS_J_KG_K), air_k = k_per_pa * pressure;
+    const double growth = vessel->growth, volume = vessel->volume + 0.5 * dt * growth;
+    const double k_per_pa = vessel->volume / (air_kg * GAS_J_KG_K), air_k = k_per_pa * pressure;
     const double density = sonic_density(air_k);
     struct chamber chamber;
-    chamber.in = orifice(inlet, critical, around->supply_pa, around->density, pressure, density);
-    chamber.out = orifice(outlet, critical, pressure, density, around->atmosphere_pa, around->density);
+    chamber.in = orifice(vessel->inlet, critical, around->supply_pa, around->density, pressure, density);
+    chamber.out = orifice(vessel->outlet, critical, pressure, density, around->atmosphere_pa, around->density);
     const double in_heat = HEAT_RATIO * GAS_J_KG_K * (chamber.in.kg_s >= 0.0 ? around->air_k : air_k);
     const double out_heat = HEAT_RATIO * GAS_J_KG_K * (chamber.out.kg_s >= 0.0 ? air_k : around->air_k);
     const double wall = (HEAT_RATIO - 1.0) * wall_w_k;
@@ -149,54 +165,90 @@ static struct chamber solve_chamber(const struct surroundings *around, double pr
                          HEAT_RATIO * pressure * growth;
     const double decay = out_heat * chamber.out.per_upstream - in_heat * chamber.in.per_downstream + wall * k_per_pa +
                          HEAT_RATIO * growth;
-    const double per_power = dt / (volume + 0.5 * dt * decay);
+    chamber.share = share_of_rise(dt * decay / volume);
+    const double per_power = dt / (volume + chamber.share * dt * decay);
     chamber.rise = power * per_power;
-    chamber.rise_per_supply = 0.5 * in_heat * chamber.in.per_upstream * per_power;
+    chamber.rise_per_supply = in_heat * chamber.in.per_upstream * per_power;
     return chamber;
 }
 
 /* All chambers and the supply at once. What leaves one volume enters the next: air is conserved to rounding. */
-static void step_air(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double dt)
+static void step_pressures(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s,
+                           const struct vessel vessels[AXES][CHAMBERS], double dt)
 {
-    double regulator = arm->regulator_kg_s_pa * (c->regulator_pa - s->supply_pa);
-    double regulator_slope = -arm->regulator_kg_s_pa;
+    const struct surroundings around = {s->supply_pa, arm->atmosphere_pa, c->air_k, sonic_density(c->air_k)};
+    const double capacity = arm->supply_m3 / (GAS_J_KG_K * c->air_k * dt);
+    double drawn = 0.0, drawn_per_pa = 0.0, drawn_at_once_per_pa = 0.0;
+    struct chamber chambers[AXES][CHAMBERS];
+    for (int a = 0; a < AXES; a++)
+        for (int i = 0; i < CHAMBERS; i++) {
+            const struct axis_parameters *p = &arm->axis[a];
+            const struct axis_state *x = &s->axis[a];
+            const struct chamber chamber = solve_chamber(&around, &vessels[a][i], x->pressure_pa[i], x->air_kg[i],
+                                                         p->heat_w_k, p->critical_ratio, dt);
+            const double per_rise = chamber.share * chamber.in.per_downstream;
+            drawn += chamber.in.kg_s + per_rise * chamber.rise;
+            drawn_per_pa += chamber.in.per_upstream + per_rise * chamber.rise_per_supply;
+            drawn_at_once_per_pa += chamber.in.per_upstream;
+            chambers[a][i] = chamber;
+        }
+    const double regulator_per_pa = arm->regulator_kg_s_pa;
+    const double share = share_of_rise((regulator_per_pa + drawn_at_once_per_pa) / capacity);
+    const double inertia = capacity / share + drawn_per_pa;
+    const double wanted = regulator_per_pa * (c->regulator_pa - s->supply_pa);
+    double mean_rise = (wanted - drawn) / (inertia + regulator_per_pa);
+    double regulator = wanted - regulator_per_pa * mean_rise;
     if (regulator > arm->regulator_max_kg_s || regulator < -arm->regulator_relief_kg_s) {
         regulator = regulator > 0.0 ? arm->regulator_max_kg_s : -arm->regulator_relief_kg_s;
-        regulator_slope = 0.0;
+        mean_rise = (regulator - drawn) / inertia;
     }
-    const struct surroundings around = {s->supply_pa, arm->atmosphere_pa, c->air_k, sonic_density(c->air_k)};
-    double surplus = regulator;
-    double capacity = arm->supply_m3 / (GAS_J_KG_K * c->air_k * dt) - 0.5 * regulator_slope;
-    struct chamber chambers[AXES][CHAMBERS];
+    s->supply_pa += mean_rise / share;
+    s->supplied_kg += dt * regulator;
+    for (int a = 0; a < AXES; a++)
+        for (int i = 0; i < CHAMBERS; i++) {
+            const struct chamber *chamber = &chambers[a][i];
+            const double rise = chamber->rise + chamber->rise_per_supply * mean_rise;
+            const double seen = chamber->share * rise;
+            const double in_kg = dt * (chamber->in.kg_s + chamber->in.per_upstream * mean_rise +
+                                       chamber->in.per_downstream * seen);
+            const double out_kg = dt * (chamber->out.kg_s + chamber->out.per_upstream * seen);
+            s->axis[a].pressure_pa[i] += rise;
+            s->axis[a].air_kg[i] += in_kg - out_kg;
+            s->exhausted_kg += out_kg;
+        }
+}
+
+/* From half a step before positions and velocities to half a step after. In pieces where an orifice would empty its
+ * vessel within a step or so: no straight line stands for such a flow. */
+static void step_air(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double dt)
+{
+    const double flow_per_m3 = GAS_J_KG_K * c->air_k * sonic_density(c->air_k);
+    struct vessel vessels[AXES][CHAMBERS];
+    double fastest_1_s = 0.0, inlets = 0.0;
     for (int a = 0; a < AXES; a++) {
         const struct axis_parameters *p = &arm->axis[a];
         const struct axis_state *x = &s->axis[a];
         const double edges[CHAMBERS] = {opening(p, x->spool), opening(p, -x->spool)};
         for (int i = 0; i < CHAMBERS; i++) {
-            const double side = i == 0 ? p->area_m2 : -p->area_m2;
+            const double side = i == 0 ? p->area_m2 : -p->area_m2, growth = side * x->velocity_m_s;
             const double volume = p->dead_volume_m3 + p->area_m2 * p->half_stroke_m + side * x->position_m;
-            const struct chamber chamber = solve_chamber(
-                &around, x->pressure_pa[i], x->air_kg[i], volume, side * x->velocity_m_s, p->heat_w_k, edges[i],
-                edges[1 - i] + c->axis[a].leak_m3_s_pa[i], p->critical_ratio, dt);
-            surplus -= chamber.in.kg_s + 0.5 * chamber.in.per_downstream * chamber.rise;
-            capacity += 0.5 * (chamber.in.per_upstream + chamber.in.per_downstream * chamber.rise_per_supply);
-            chambers[a][i] = chamber;
+            const double outlet = edges[1 - i] + c->axis[a].leak_m3_s_pa[i];
+            const double rate_1_s = HEAT_RATIO * flow_per_m3 * (edges[i] + outlet) / volume;
+            vessels[a][i] = (struct vessel){volume - 0.5 * dt * growth, growth, edges[i], outlet};
+            inlets += edges[i];
+            fastest_1_s = rate_1_s > fastest_1_s ? rate_1_s : fastest_1_s;
         }
     }
-    const double supply_rise = surplus / capacity;
-    s->supply_pa += supply_rise;
-    s->supplied_kg += dt * (regulator + 0.5 * regulator_slope * supply_rise);
-    for (int a = 0; a < AXES; a++)
-        for (int i = 0; i < CHAMBERS; i++) {
-            const struct chamber *chamber = &chambers[a][i];
-            const double rise = chamber->rise + chamber->rise_per_supply * supply_rise;
-            const double in_kg = dt * (chamber->in.kg_s + 0.5 * chamber->in.per_upstream * supply_rise +
-                                       0.5 * chamber->in.per_downstream * rise);
-            const double out_kg = dt * (chamber->out.kg_s + 0.5 * chamber->out.per_upstream * rise);
-            s->axis[a].pressure_pa[i] += rise;
-            s->axis[a].air_kg[i] += in_kg - out_kg;
-            s->exhausted_kg += out_kg;
-        }
+    const double supply_1_s = flow_per_m3 * inlets / arm->supply_m3;
+    const double pieces = PIECES_A_TIME_CONSTANT * dt * (supply_1_s > fastest_1_s ? supply_1_s : fastest_1_s);
+    const int count = pieces < MOST_PIECES ? 1 + (int)pieces : MOST_PIECES;
+    const double piece_s = dt / count;
+    for (int n = 0; n < count; n++) {
+        step_pressures(arm, c, s, vessels, piece_s);
+        for (int a = 0; a < AXES; a++)
+            for (int i = 0; i < CHAMBERS; i++)
+                vessels[a][i].volume += piece_s * vessels[a][i].growth;
+    }
 }
 
 /* ---- body ---- */

@@ -1,13 +1,26 @@
 """What no arm may do, whatever its parameters and commands: make air, make energy, move by itself."""
 
+from __future__ import annotations
+
+import math
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.arm_files import AIRLESS, FRICTIONLESS, SEALED, arm_with
+from support.arm_files import AIRLESS, FRICTIONLESS, LIMITS, SEALED, arm_text, arm_with
 
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.conditions import Leak, Payload, Temperature
-from firmware_sim.arm.parameters import GRAVITY_M_S2, ArmParameters
+from firmware_sim.arm.conditions import (
+    AnyChange,
+    FrictionChange,
+    Leak,
+    Payload,
+    StuckSpool,
+    SupplyPressure,
+    Temperature,
+)
+from firmware_sim.arm.parameters import AXES, GRAVITY_M_S2, ArmParameters, read_arm
+from hil.errors import DocumentError, SimulationError
 
 MILLISECOND_NS = 1_000_000
 CENTRED = (5.0, 5.0, 5.0)
@@ -46,6 +59,76 @@ def test_air_is_only_moved(
     after = air_in_the_machine_kg(arm) - arm.state.supplied_kg + arm.state.exhausted_kg
     assert after == pytest.approx(before, rel=1e-11)
     assert arm.state.exhausted_kg > 0.0
+
+
+def extreme(low: float, high: float) -> st.SearchStrategy[float]:
+    """The limits, what lies between, and small magnitudes of it."""
+    small = st.floats(-9.0, 0.0).map(lambda exponent: max(low, high * 10.0**exponent))
+    return st.sampled_from((low, high)) | st.floats(low, high) | small
+
+
+changes = st.one_of(
+    st.builds(Payload, at_s=st.just(0.0), mass_kg=extreme(0.0, 100.0)),
+    st.builds(SupplyPressure, at_s=st.just(0.0), gauge_kpa=extreme(0.0, 1000.0)),
+    st.builds(Temperature, at_s=st.just(0.0), celsius=extreme(-20.0, 60.0)),
+    st.builds(
+        FrictionChange, at_s=st.just(0.0), axis=st.sampled_from(AXES), factor=extreme(0.0, 20.0)
+    ),
+    st.builds(
+        Leak,
+        at_s=st.just(0.0),
+        axis=st.sampled_from(AXES),
+        chamber=st.sampled_from((1, 2)),
+        conductance_m3_s_pa=extreme(0.0, 1e-6),
+    ),
+    st.builds(StuckSpool, at_s=st.just(0.0), axis=st.sampled_from(AXES), stuck=st.booleans()),
+)  # fmt: skip
+hard = st.sampled_from((0.0, 5.0, 10.0)) | volts
+spans_ms = st.sampled_from((1, 11, 100, 700))
+
+
+@settings(max_examples=150, deadline=None)
+@given(steps=st.lists(st.tuples(changes, st.tuples(hard, hard, hard), spans_ms), min_size=1, max_size=12))
+def test_the_arm_stands_every_change_within_its_limits(
+    steps: list[tuple[AnyChange, tuple[float, float, float], int]],
+) -> None:
+    arm = Arm(arm_with({}), seed=1)
+    for change, command, span_ms in steps:
+        arm.apply(change)
+        arm.advance(span_ms * MILLISECOND_NS, command)  # SimulationError: it diverged
+        assert all(0.0 <= reading <= 10.0 for reading in arm.potentiometer_v())
+        coldest, hottest = 80.0, 2000.0
+        for axis, volumes in zip(arm.state.axis, volumes_m3(arm), strict=True):
+            for pressure, volume, air in zip(axis.pressure_pa, volumes, axis.air_kg, strict=True):
+                assert coldest < pressure * volume / (air * 287.05) < hottest
+
+
+keys = st.sampled_from(sorted(key for key in LIMITS if key != "step_s"))
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data(), commands=st.lists(st.tuples(hard, hard, hard), min_size=1, max_size=4))
+def test_an_arm_file_within_its_limits_runs_or_says_why_not(
+    data: st.DataObject, commands: list[tuple[float, float, float]]
+) -> None:
+    """Refused in words, or run; what only a run shows to be too stiff ends in words too. Never NaN."""
+    values = {
+        key: data.draw(extreme(*LIMITS[key]), key)
+        for key in data.draw(st.lists(keys, min_size=1, max_size=5))
+    }
+    try:
+        parameters = read_arm(arm_text(arm_with(values)), "mine.toml")
+    except DocumentError as error:
+        assert str(error).startswith("mine.toml: ")
+        return
+    try:
+        arm = Arm(parameters, seed=1)
+        for command in commands:
+            arm.advance(100 * MILLISECOND_NS, command)
+            assert all(0.0 <= reading <= 10.0 for reading in arm.potentiometer_v())
+            assert all(math.isfinite(axis.position + axis.velocity) for axis in arm.view().axes)
+    except SimulationError as error:
+        assert "diverged" in str(error)
 
 
 @quick

@@ -26,6 +26,36 @@ def arm_with(changes: dict[str, float]) -> ArmParameters:
     return msgspec.convert(plain, ArmParameters)
 
 
+def arm_text(arm: ArmParameters) -> str:
+    """An arm file of it."""
+    lines: list[str] = []
+
+    def write(table: dict[str, Any], path: tuple[str, ...]) -> None:
+        lines.extend(f"{key} = {value!r}" for key, value in table.items() if not isinstance(value, dict))
+        for key, inner in table.items():
+            if isinstance(inner, dict):
+                lines.append(f"[{'.'.join((*path, key))}]")
+                write(inner, (*path, key))
+
+    write(msgspec.to_builtins(arm), ())
+    return "\n".join(lines)
+
+
+def _limits(table: type[msgspec.Struct]) -> dict[str, tuple[float, float]]:
+    found: dict[str, tuple[float, float]] = {}
+    for field in msgspec.structs.fields(table):
+        if isinstance(field.type, type):
+            found |= {f"{field.name}.{key}": limits for key, limits in _limits(field.type).items()}
+        else:
+            (meta,) = field.type.__metadata__
+            found[field.name] = (meta.ge, meta.le)
+    return found
+
+
+LIMITS = _limits(ArmParameters)
+"""Least and most of every number of an arm file, by its dotted key."""
+
+
 def text_with(dotted: str, value: str) -> str:
     """The shipped file's text with one value replaced by its dotted key."""
     *path, key = dotted.split(".")

@@ -29,6 +29,8 @@ class Drive(NamedTuple):
     payload_kg: float = 0.0
     regulator_pa: float = 550e3
     air_k: float = 293.15
+    leak: tuple[int, int, float] = (0, 0, 0.0)
+    """Axis and chamber, both from 0, and conductance."""
 
 
 def mass_flow(conductance: float, b: float, up: float, up_k: float, down: float, down_k: float) -> float:
@@ -76,13 +78,12 @@ def derivative(arm: ArmParameters, drive: Drive, y: Sequence[float]) -> list[flo
             w * w * (drive.spools[a] - spool) - 2.0 * axis.valve.spool_damping * w * spool_rate
         )
         p_dots, air_dots = [], []
-        for p, air, sign in ((p1, air1, 1.0), (p2, air2, -1.0)):
+        for chamber, (p, air, sign) in enumerate(((p1, air1, 1.0), (p2, air2, -1.0))):
             V = axis.cylinder.dead_volume_m3 + area * (half + sign * x)
             T = p * V / (air * R)
             inward = mass_flow(opening(axis, sign * spool), axis.valve.critical_ratio, ps, hall, p, T)
-            outward = mass_flow(
-                opening(axis, -sign * spool), axis.valve.critical_ratio, p, T, atmosphere, hall
-            )
+            outlet = opening(axis, -sign * spool) + (drive.leak[2] if drive.leak[:2] == (a, chamber) else 0.0)
+            outward = mass_flow(outlet, axis.valve.critical_ratio, p, T, atmosphere, hall)
             enthalpy = inward * (hall if inward > 0 else T) - outward * (T if outward > 0 else hall)
             heat = axis.cylinder.heat_w_k * (hall - T)
             p_dots.append((GAMMA * (R * enthalpy - p * sign * area * v) + (GAMMA - 1.0) * heat) / V)

@@ -14,7 +14,7 @@ from support.arm_reference import Drive, solve, state_of
 
 from firmware_sim.arm import native
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.conditions import Payload, SupplyPressure
+from firmware_sim.arm.conditions import Leak, Payload, SupplyPressure
 from firmware_sim.arm.linearisation import linearise
 from firmware_sim.arm.parameters import AXES, ArmParameters
 
@@ -51,6 +51,10 @@ def positions_and_pressures(
     for seconds, drive in drives:
         arm.apply(Payload(at_s=0.0, mass_kg=drive.payload_kg))
         arm.apply(SupplyPressure(at_s=0.0, gauge_kpa=drive.regulator_pa * 1e-3 - 100.0))
+        axis, chamber, conductance = drive.leak
+        arm.apply(
+            Leak(at_s=0.0, axis=AXES[axis], chamber=chamber + 1, conductance_m3_s_pa=conductance)  # type: ignore[arg-type]
+        )
         for _ in range(round(seconds / SAMPLE_S)):
             arm.advance(SAMPLE_NS, commands_v(parameters, drive.spools))
             states.append(state_of(arm))
@@ -88,6 +92,21 @@ def test_payload_changes_the_bodies_as_in_the_reference() -> None:
     light = solve(parameters, state_of(Arm(parameters, seed=1)), [(1.0, Drive((0.12, 0.1, 0.1)))], SAMPLE_S)
     assert np.abs(arm - reference)[:, POSITION].max() < 0.03e-3
     assert (np.abs(light - reference)[:, POSITION].max(axis=0) > 2e-3).all()
+
+
+@pytest.mark.parametrize("conductance", [1e-7, 1e-6])
+@pytest.mark.parametrize(("axis", "chamber"), [(0, 1), (1, 0), (1, 1), (2, 0)])
+def test_a_chamber_that_empties_within_a_step_agrees_with_the_reference(
+    axis: int, chamber: int, conductance: float
+) -> None:
+    """The largest leak empties the horizontal's chambers with a time constant under half a step's."""
+    leak = (axis, chamber, conductance)
+    drives = [(0.1, Drive((0.05, 0.05, 0.05), leak=leak)), (0.3, Drive((-0.5, -0.5, 0.5), leak=leak))]
+    arm, reference = positions_and_pressures(arm_with(DIRECT), drives)
+    leaking_pa = reference[:, 9 * axis + 5 + chamber]
+    assert np.abs(leaking_pa[10:] - 100e3).max() < 15e3
+    assert np.abs(arm - reference)[:, POSITION].max() < 0.2e-3
+    assert np.abs(arm - reference)[:, PRESSURE].max() < 6e3
 
 
 def test_error_falls_with_the_step() -> None:
