@@ -19,7 +19,7 @@ SHIPPED = Path(__file__).parent / "scenarios"
 
 
 class Scenario(Document, frozen=True):
-    """Event times count from when the boards are powered, a fraction of a second before control begins."""
+    """Event times count from the boards' first sample, two periods before control begins."""
 
     title: str
     duration_s: Annotated[float, msgspec.Meta(gt=0.0, le=86400.0)]

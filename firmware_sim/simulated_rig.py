@@ -2,6 +2,8 @@
 
 Frames and the time in, frames out; no clock, no I/O, so that the lockstep shell and a process on a real bus
 run the same code. The plant is brought up to date at every SYNC and before every change of a valve voltage.
+It rests until its first sample: its time, and that of what will happen to it, counts from there, however long
+the boards waited for their gateway.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from firmware_sim.boards import AdcBoard, DacBoard, Volts
-from firmware_sim.canopen_slave import NEVER, Frames
+from firmware_sim.canopen_slave import NEVER, Frames, State
 from firmware_sim.codec import SYNC_ID
 from firmware_sim.plant import Plant
 from hil.frames import Frame
@@ -43,7 +45,6 @@ class SimulatedRig:
 
     def start(self, now_ns: int) -> Frames:
         """Power on: the boards' boot-up messages."""
-        self._plant_ns = now_ns
         return self.adc.start(now_ns) + self.dac.start(now_ns)
 
     def receive(self, frame: Frame, now_ns: int) -> Frames:
@@ -55,6 +56,8 @@ class SimulatedRig:
         if frame.is_extended or frame.is_remote or frame.is_error:
             return overdue
         if frame.id == SYNC_ID:
+            if self.adc.state is State.OPERATIONAL:
+                self._plant_ns = min(self._plant_ns, now_ns)
             self._advance(now_ns)
         return overdue + adc.receive(frame, now_ns) + dac.receive(frame, now_ns)
 
@@ -71,6 +74,7 @@ class SimulatedRig:
         return frames
 
     def _drive(self, valve_v: Volts, now_ns: int) -> None:
+        self._plant_ns = min(self._plant_ns, now_ns)
         self._advance(now_ns)
         self._held_v = valve_v
 

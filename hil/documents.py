@@ -145,7 +145,7 @@ def _choices(kind: Any, steps: Steps) -> list[object]:
     types = [msgspec.inspect.type_info(kind)]
     for step in steps:
         types = [inner for outer in types for inner in _types_at(outer, step)]
-    return [value for literal in types for value in getattr(literal, "values", ())]
+    return list(dict.fromkeys(value for literal in types for value in getattr(literal, "values", ())))
 
 
 def _types_at(outer: msgspec.inspect.Type, step: str | int | None) -> list[msgspec.inspect.Type]:

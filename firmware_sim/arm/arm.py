@@ -11,7 +11,7 @@ that the flow stays a function of the present pressures.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from ctypes import byref
 from functools import partial
 from heapq import heappop, heappush
@@ -38,6 +38,7 @@ from firmware_sim.arm.parameters import (
     kelvin,
 )
 from firmware_sim.arm.pins import PotentiometerOutput, ValveInput
+from firmware_sim.arm.wiring import STRAIGHT, Wires
 from hil.errors import SimulationError
 
 REST_V: Final = (5.0, 5.0, 5.0)
@@ -69,13 +70,21 @@ class ArmView(NamedTuple):
 
 
 class Arm:
-    """A ``firmware_sim.plant.Plant``. Channels: vertical, horizontal, rotation.
+    """A ``firmware_sim.plant.Plant``, its axes on the channels that ``wiring`` says, by their names.
 
     ``seed`` is that of the potentiometers' noise; ``changes`` happen as the arm's own time reaches theirs.
-    Raises EnvironmentLackError when the dynamics are not compiled.
+    An axis that ``wiring`` leaves out has ``REST_V`` on its valve. Raises EnvironmentLackError when the
+    dynamics are not compiled.
     """
 
-    def __init__(self, parameters: ArmParameters, *, seed: int, changes: Iterable[AnyChange] = ()) -> None:
+    def __init__(
+        self,
+        parameters: ArmParameters,
+        *,
+        seed: int,
+        changes: Iterable[AnyChange] = (),
+        wiring: Mapping[str, Wires] = STRAIGHT,
+    ) -> None:
         self.parameters = parameters
         self._dynamics = native.Dynamics()
         self.conditions, self.state = _charged(parameters)
@@ -89,16 +98,21 @@ class Arm:
             for axis, state, travel in zip(parameters.ordered, self._axes, self._travel, strict=True)
         ]
         sound_m_s = math.sqrt(HEAT_RATIO * GAS_J_KG_K * self.conditions.air_k)
-        self._inputs = [
-            (ValveInput(axis.valve), round(1e9 * axis.cylinder.tube_m / sound_m_s), conditions)
-            for axis, conditions in zip(parameters.ordered, self.conditions.axis, strict=True)
+        inputs = [
+            (ValveInput(axis.valve), round(1e9 * axis.cylinder.tube_m / sound_m_s), conditions, channel)
+            for channel, (axis, conditions) in enumerate(
+                zip(parameters.ordered, self.conditions.axis, strict=True)
+            )
         ]
+        self._inputs = inputs
+        self._outputs = [(AXES.index(name), wires.potentiometer) for name, wires in wiring.items()]
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
         self._entries = 0
         self._reading: Sequence[float] | None = None
         self.time_ns = -REST_NS
         """The arm's own time, 0 at its start."""
         self.advance(REST_NS, REST_V)
+        self._inputs = [(*inputs[AXES.index(name)][:3], wires.valve) for name, wires in wiring.items()]
         for change in changes:
             self.schedule(change)
 
@@ -111,7 +125,8 @@ class Arm:
 
         Raises SimulationError when a voltage is no number, or the state leaves what an arm can be in.
         """
-        for (valve, delay_ns, conditions), volts in zip(self._inputs, valve_v, strict=True):
+        for valve, delay_ns, conditions, channel in self._inputs:
+            volts = valve_v[channel]
             if volts != valve.held_v:
                 command = partial(setattr, conditions, "spool_command", valve.spool_command(volts))
                 self._enter(self.time_ns + delay_ns, command)
@@ -127,10 +142,13 @@ class Arm:
     def potentiometer_v(self) -> Sequence[float]:
         """The potentiometers' voltages now (V, by channel), 0 to 10 V; the same when read again at once."""
         if self._reading is None:
-            self._reading = [
+            volts = [
                 potentiometer.volts(state.position_m * travel)
                 for potentiometer, state, travel in self._potentiometers
             ]
+            self._reading = reading = [0.0, 0.0, 0.0]
+            for axis, channel in self._outputs:
+                reading[channel] = volts[axis]
         return self._reading
 
     def view(self) -> ArmView:

@@ -1,7 +1,8 @@
 """What can change on the arm while it runs: typed changes with their times, listed in a scenario file.
 
 Lives here: the changes. Applying them is the arm's (``arm``), which does so as its own time passes: the same
-in lockstep and in a process of its own. The file is ``firmware_sim.scenario``'s.
+in lockstep and in a process of its own. The file is ``firmware_sim.scenario``'s, the form on a command line
+``event_text``'s.
 
     [[events]]
     at_s = 2.0

@@ -214,7 +214,12 @@ def read_arm(text: str, source: str) -> ArmParameters:
 
 def shipped_arm() -> ArmParameters:
     """The paper's arm, ``arm.toml``."""
-    return read_arm((resources.files(__package__) / "arm.toml").read_text(encoding="utf-8"), "arm.toml")
+    return read_arm(shipped_arm_text(), "arm.toml")
+
+
+def shipped_arm_text() -> str:
+    """The text of ``arm.toml``."""
+    return (resources.files(__package__) / "arm.toml").read_text(encoding="utf-8")
 
 
 def absolute_pa(gauge_kpa: float, supply: Supply) -> float:

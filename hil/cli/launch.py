@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import platform
 import signal
@@ -104,6 +105,7 @@ def _header(
             "run": {"configuration sha256": setup.fingerprint(), "hil": __version__, **versions},
             "setpoints": {name: setpoint.text for name, setpoint in setup.setpoints.items()},
             "documents": setup.digests(),
+            **({"plant": json.loads(setup.texts["plant.json"])} if "plant.json" in setup.texts else {}),
         },
     )
 

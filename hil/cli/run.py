@@ -8,10 +8,11 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_sim.plant_options import add_plant_options, check_plant_options
+from firmware_sim.plant_options import add_plant_options, check_plant_options, plant_texts
 from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
 from hil.cli.record_path import figure_of, picture_of, recording_path
 from hil.errors import DocumentError, HilError
@@ -34,10 +35,12 @@ def main(argv: list[str]) -> int:
     check_plant_options(options)
     scenario, scenario_text = _scenario(options)
     setup = _setup(options, scenario, scenario_text)
-    bus = options.bus or setup.rig.bus.channel
-    if bus != SIMULATED and (options.arm or options.linear):
+    bus = SIMULATED if options.lockstep else options.bus or setup.rig.bus.channel
+    if bus == SIMULATED:
+        setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
+    elif options.arm or options.linear or options.event:
         raise DocumentError(
-            f"--arm and --linear choose what `hil run` simulates; --bus {bus} is no simulation"
+            f"--arm, --linear and --event choose what `hil run` simulates; --bus {bus} is no simulation"
         )
     if bus != SIMULATED and scenario is not None and scenario.events:
         sys.stderr.write("The scenario's events are the simulated arm's: firmware-sim --scenario has them.\n")
@@ -94,8 +97,6 @@ def _setup(options: argparse.Namespace, scenario: Scenario | None, scenario_text
     if scenario is not None:
         controllers, setpoints = scenario.controllers | controllers, scenario.setpoints | setpoints
         texts["scenario.toml"] = scenario_text
-    if options.arm is not None:
-        texts["arm.toml"] = read_text(options.arm)
     if options.linear:
         units = {name: axis.unit for name, axis in load_setup(options.rig, {}, {}).rig.axes.items()}
         controllers = {name: LINEAR_CONTROLLERS[unit] for name, unit in units.items()} | controllers

@@ -67,7 +67,7 @@ def bench_codec() -> None:
 
 
 def options(*, linear: bool) -> argparse.Namespace:
-    return argparse.Namespace(linear=linear, arm=None, scenario=None, seed=0, rig=None)
+    return argparse.Namespace(linear=linear, arm=None, scenario=None, event=[], seed=0, rig=None)
 
 
 def bench_lockstep(folder: Path) -> None:

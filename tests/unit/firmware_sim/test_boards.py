@@ -251,7 +251,7 @@ class TestCommands:
         axes = RIG.axes | {"vertical": msgspec.structs.replace(vertical, valve=valve)}
         bench = Bench(msgspec.structs.replace(RIG, axes=axes))
         assert bench.valve_v == (4.9, 5.0, 5.0)
-        bench.give(SYNC)
+        bench.started().give(SYNC)
         bench.wait(PERIOD_NS)
         bench.give(SYNC)
         assert bench.plant.held == [(PERIOD_NS, (4.9, 5.0, 5.0))]
@@ -395,10 +395,29 @@ class TestGatewayHeartbeat:
 
 
 class TestThePlant:
-    def test_it_keeps_up_when_nobody_sends_sync(self) -> None:
-        bench = Bench()
+    def test_it_keeps_up_when_nobody_sends_sync_any_more(self) -> None:
+        bench = Bench().started()
+        bench.give(SYNC)
         bench.wait(10**9)
         assert bench.plant.held == [(HEARTBEAT_NS, CENTRED)] * 10
+
+    def test_its_time_begins_with_the_first_sample(self) -> None:
+        bench = Bench()
+        bench.wait(10**10)
+        bench.give(SYNC)  # nobody samples yet
+        bench.wait(10**9)
+        bench.started().give(SYNC)
+        assert bench.plant.held == []
+        bench.wait(PERIOD_NS)
+        bench.give(SYNC)
+        assert bench.plant.held == [(PERIOD_NS, CENTRED)]
+
+    def test_its_time_begins_with_a_valve_that_moves_before_any_sample(self) -> None:
+        bench = Bench(with_dac(apply="at once")).started()
+        bench.command(6.25, 5.0, 5.0)
+        bench.wait(MS)
+        bench.command(5.0, 5.0, 5.0)
+        assert bench.plant.held == [(MS, (6.25, 5.0, 5.0))]
 
     def test_a_clock_that_stands_still_or_goes_back_does_not_move_it(self) -> None:
         bench = Bench().started()
@@ -414,5 +433,7 @@ class TestThePlant:
 
         rig = SimulatedRig(RIG, Diverging())
         rig.start(0)
+        rig.receive(nmt(START), 0)
+        rig.receive(SYNC, 0)
         with pytest.raises(HilError, match="exceeds"):
             rig.receive(SYNC, PERIOD_NS)

@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -163,17 +164,32 @@ class DivergingPlant:
         return [5.0, 5.0, 5.0]
 
 
+class GatewayBus:
+    """A bus on which a gateway starts the boards and sends SYNC."""
+
+    def __init__(self) -> None:
+        self.heard: list[Frame] = []
+        self._frames = [Frame(0x000, b"\x01\x00"), Frame(0x080), Frame(0x080)]
+
+    def send(self, frame: Frame) -> None:
+        self.heard.append(frame)
+
+    def receive(self, timeout_s: float) -> Received | None:
+        return Received(self._frames.pop(0), time.time_ns(), "kernel")
+
+    def close(self) -> None:
+        pass
+
+
 def test_a_failing_plant_ends_it_with_its_message_and_both_boards_fall_silent(
     monkeypatch: pytest.MonkeyPatch, process_kept: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    bus = GatewayBus()
     monkeypatch.setattr(cli, "build_plant", lambda rig, _options: (DivergingPlant(rig), "a plant"))
-    with open_link("inproc:diverging") as link:
-        assert cli.main(["--bus", "inproc:diverging"]) == 1
-        heard = []
-        while (received := link.receive(0)) is not None:
-            heard.append(received.frame)
+    monkeypatch.setattr(cli, "_open", lambda spec: (bus, spec))
+    assert cli.main(["--bus", "inproc:diverging"]) == 1
     assert capsys.readouterr().err == "firmware-sim: vertical: position 3.2 m exceeds 0.15 m\n"
-    assert heard == [Frame(0x710, b"\x00"), Frame(0x720, b"\x00")]
+    assert [frame.id for frame in bus.heard] == [0x710, 0x720, 0x190]
 
 
 class SteppedBus:

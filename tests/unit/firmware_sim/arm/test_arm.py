@@ -112,7 +112,8 @@ def test_a_state_that_cannot_be_is_an_error_and_stays_one(spoil: str, complaint:
     setattr(arm.state.axis[1], spoil, 1e6)
     for _ in range(2):
         with pytest.raises(
-            SimulationError, match=rf"diverged before \d.*s of its time: .*{complaint}.*step_s.*horizontal\.stop"
+            SimulationError,
+            match=rf"diverged before \d.*s of its time: .*{complaint}.*step_s.*horizontal\.stop",
         ):
             arm.advance(PERIOD_NS, CENTRED)
 
