@@ -49,11 +49,13 @@ def stairs(rows: Rows) -> list[Stair]:
 
 
 def test_fig_13_step_of_the_vertical_axis(tmp_path: Path) -> None:
-    """The paper: about 1 s, no overshoot, error within about 0.7 mm."""
+    """The paper: about 1 s, no overshoot, error within about 0.7 mm. From a settled hold."""
     recording = run(tmp_path / "fig13.mcap", "--scenario", "fig13")
-    (step,) = stairs(running(recording, "vertical"))
-    assert 0.7 < step.settling_s < 1.3
-    assert step.overshoot_percent < 1.0
+    rows = running(recording, "vertical")
+    (step,) = stairs(rows)
+    assert np.flatnonzero(rows["setpoint"])[0] * PERIOD_S > 4.0
+    assert 0.7 < step.settling_s < 1.1
+    assert step.overshoot_percent < 0.5
     assert abs(step.error) < 0.7e-3
     assert (tmp_path / "fig13-figure.png").read_bytes().startswith(b"\x89PNG")
     assert "scenario.toml" in recording.attachments
@@ -66,9 +68,11 @@ def test_fig_14_ladder_with_load_at_low_pressure(tmp_path: Path) -> None:
     steps = stairs(running(recording, "vertical"))
     assert len(steps) == 6
     for step in steps:
-        assert step.overshoot_percent < 3.0
+        assert step.overshoot_percent < 1.0
         assert abs(step.error) < 1e-3
-    assert float(np.median([step.settling_s for step in steps])) < 1.6
+    settling_s = sorted(step.settling_s for step in steps)
+    assert settling_s[4] < 1.4
+    assert settling_s[5] < 2.0
     for axis, moved in (("horizontal", 0.05), ("rotation", 0.4)):
         assert np.ptp(running(recording, axis)["position"]) > moved
 

@@ -141,7 +141,7 @@ def test_payload_pulls_the_arm_down_by_its_weight_over_the_spring() -> None:
     subject.advance(20 * SECOND_NS, CENTRED)
     sag_m = before - subject.view().axes[0].position
     spring_n_m = subject.parameters.axes.vertical.spring.rate_n_m
-    assert sag_m == pytest.approx(3.0 * 9.80665 / spring_n_m, abs=0.016)  # static friction / spring: 13 mm
+    assert sag_m == pytest.approx(3.0 * 9.80665 / spring_n_m, abs=0.007)  # static friction / spring: 4 mm
     assert sag_m > 0.04
     subject.advance(20 * SECOND_NS, CENTRED)
     assert subject.view().axes[0].position > before - 0.03
@@ -167,7 +167,7 @@ def test_payload_is_taken_up_at_rest_and_dropped_with_its_speed() -> None:
 def test_supply_sinks_to_the_regulators_new_pressure_and_stays_under_it_by_its_droop() -> None:
     subject = arm(SupplyPressure(at_s=1.0, gauge_kpa=400.0))
     subject.advance(SECOND_NS, CENTRED)
-    assert subject.view().supply_pa == pytest.approx(546e3, abs=2e3)
+    assert 530e3 < subject.view().supply_pa < 545e3
     subject.advance(4 * SECOND_NS, CENTRED)
     view = subject.view()
     subject.advance(SECOND_NS, CENTRED)

@@ -31,7 +31,7 @@ EVERY_TERM = {
     "axes.horizontal.spring.centre_n": 2.0,
     "axes.rotation.spring.centre_n": -1.5,
     "supply.volume_m3": 3e-4,
-    "supply.max_flow_kg_s": 8e-4,
+    "supply.max_flow_kg_s": 2.9e-3,
     "body.tip_m": 0.1,
 }
 
@@ -130,7 +130,7 @@ def test_tube_and_play_delay_and_hold_back_the_spool() -> None:
         assert arm.state.axis[0].spool == pytest.approx(before, abs=1e-6)
         arm.advance(194_500_000, (valve.centre_v + volts - 5.0, 5.0, 5.0))
         assert arm.state.axis[0].spool == pytest.approx(engaged_v / 5.0, abs=1e-9)
-    arm.advance(200_000_000, (valve.centre_v + 0.905, 5.0, 5.0))
+    arm.advance(200_000_000, (valve.centre_v + 0.9 + valve.hysteresis_v, 5.0, 5.0))
     assert arm.state.axis[0].spool == pytest.approx((0.9 + valve.hysteresis_v) / 5.0, abs=1e-9)
 
 

@@ -56,14 +56,14 @@ def test_what_is_no_number_is_refused_by_its_key(value: str) -> None:
 
 
 def test_static_friction_under_coulomb_friction_is_refused() -> None:
-    assert refusal(f"{VERTICAL}.friction.static_n", "3.0") == (
-        "mine.toml: axes.vertical.friction.static_n: 3.0 N is under coulomb_n, 5.0 N"
+    assert refusal(f"{VERTICAL}.friction.static_n", "1.0") == (
+        "mine.toml: axes.vertical.friction.static_n: 1.0 N is under coulomb_n, 1.2 N"
     )
 
 
 def test_friction_that_would_give_energy_is_refused() -> None:
-    message = refusal(f"{VERTICAL}.friction.bristle_n_s_m", "500.0")
-    assert "axes.vertical.friction.bristle_n_s_m: 500.0 N s/m exceeds 422.5 N s/m" in message
+    message = refusal(f"{VERTICAL}.friction.bristle_n_s_m", "800.0")
+    assert "axes.vertical.friction.bristle_n_s_m: 800.0 N s/m exceeds 624 N s/m" in message
     assert "would give energy" in message
 
 
