@@ -28,6 +28,7 @@ structures             controller and weight structures, and the laws they becom
 realisation            state space and polynomials, s (bilinear plane) and z, back and forth
 verification           the law as the daemon realises it, back as polynomials: what is verified runs
 responses, loops       batched step responses (``matrix_exponential``); all that can be read off loops
+step_course            a step followed until it is at rest, however slow; ``step_readings`` what it reads
 specifications         eqs. (8), (9): limits on readings, each with its name and its violation
 search                 ask, tell, stop, and recorded convergence; ``differential_evolution`` (the
                        default) and ``genetic_algorithm`` (the paper's) are searchers

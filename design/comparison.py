@@ -139,7 +139,6 @@ class Problem:
     weight: TransferFunction
     sampling: Sampling | None
     rig_sampling: Sampling
-    horizon_s: float
 
     @cached_property
     def loop_plant(self) -> TransferFunction:
@@ -155,10 +154,9 @@ class Problem:
         """The margin in the loop designed for."""
         return measures.eps_continuous if self.sampling is None else measures.eps_sampled
 
-    def loops(self, K: Controller, horizon_s: float | None = None) -> Loops:
+    def loops(self, K: Controller) -> Loops:
         """The loop of one controller."""
-        horizon_s = self.horizon_s if horizon_s is None else horizon_s
-        return Loops(self.loop_plant, K, W=self.weight, sampling=self.sampling, horizon_s=horizon_s)
+        return Loops(self.loop_plant, K, W=self.weight, sampling=self.sampling)
 
     def measure(self, candidate: Candidate) -> Measures:
         """All readings of one candidate."""
@@ -183,7 +181,7 @@ class Problem:
 
     def step(self, candidate: Candidate, horizon_s: float) -> StepResponses:
         """Unit step response of one candidate: time_s (k,), y and u (1, k)."""
-        return self.loops(candidate.controller, horizon_s).response
+        return self.loops(candidate.controller).response(horizon_s)
 
     def frequencies(self, points: int = 400) -> Array:
         """True frequencies (points,) in rad/s around the plant's corners, below half the sampling rate."""

@@ -26,6 +26,8 @@ _NOMINAL, _SHAPED, _LIMIT = (
     Style("#1b1f23", "5 3", 1.4),
     Style("#1b1f23", "5 3", 1.2),
 )
+_HORIZON_S = 3.0
+"""Of steps that never settle."""
 _SECONDS, _OMEGA = "time, s", "frequency, rad/s"
 
 
@@ -145,10 +147,11 @@ def steps(
     specifications: Sequence[Specification],
 ) -> Figure:
     """Figs 9 and 10: unit step responses y of stable loops, the limits of eq. (9), and u."""
-    settling = [m.settling_s for _, m in chosen if np.isfinite(m.settling_s)]
+    settling = [m.settling_s for _, m in chosen if np.isfinite(m.settling_s)] or [_HORIZON_S]
     limits = {s.quantity: s.limit for s in specifications}
-    wanted = 2.0 * max([*settling, limits.get("settling_s", 0.0), 20.0 * problem.rig_sampling.period_s])
-    horizon_s = float(min(wanted, problem.horizon_s))
+    # One loop that is much slower than the others does not squeeze them.
+    shown = min(max(settling), 4.0 * min(settling))
+    horizon_s = 2.0 * max(shown, limits.get("settling_s", 0.0), 20.0 * problem.rig_sampling.period_s)
     responses = [(c.name, problem.step(c, horizon_s), all_styles[c.name]) for c, _ in chosen]
     sampled = problem.sampling is not None
     x = Axis(_SECONDS, low=0.0, high=horizon_s)

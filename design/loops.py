@@ -11,18 +11,21 @@ from design import polynomials as poly
 from design.loop_shaping import shaped
 from design.plant import Sampling, TransferFunction
 from design.polynomials import Array, Flags
-from design.responses import StepResponses, step_responses
+from design.realisation import StateSpace
+from design.responses import StepResponses, closed_loop, step_responses
+from design.step_course import follow, modes
+from design.step_readings import StepCourse
 from design.structures import Controller
 
-_SAMPLES = 512
-_BAND = 0.02
+_SAMPLES, _MOST_SAMPLES = 512, 4096
+"""Of a response that is drawn: of a continuous one, and at most of a sampled one."""
 
 
 class Loops:
     """Controllers (B, n + 1) on one plant, in s or in the bilinear plane of ``sampling``.
 
     ``desired`` is the open loop whose shape is specified: the shaped plant Gs while weights are selected,
-    else GK itself. ``horizon_s`` is how long step responses are followed.
+    else GK itself.
     """
 
     def __init__(
@@ -32,11 +35,10 @@ class Loops:
         *,
         W: TransferFunction = margins.UNIT,
         sampling: Sampling | None = None,
-        horizon_s: float = 6.0,
         desired: TransferFunction | None = None,
     ) -> None:
         self.G, self.K, self.W = G, Controller(*(np.atleast_2d(p) for p in K)), W
-        self.sampling, self.horizon_s = sampling, horizon_s
+        self.sampling = sampling
         self.open = shaped(G, self.K.feedback)
         self.desired = self.open if desired is None else desired
         self.desired_name = "GK" if desired is None else "Gs"
@@ -63,75 +65,86 @@ class Loops:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(above / self.closed[:, -1])
 
-    @cached_property
-    def response(self) -> StepResponses:
-        """Unit step responses over the horizon; those of unstable loops are 0."""
+    def response(self, horizon_s: float) -> StepResponses:
+        """Unit step responses up to a time, to be drawn; those of unstable loops are 0."""
         if self.sampling is None:
-            step_s, samples = self.horizon_s / (_SAMPLES - 1), _SAMPLES
+            step_s, samples = horizon_s / (_SAMPLES - 1), _SAMPLES
         else:
             step_s = self.sampling.period_s
-            samples = int(np.ceil(self.horizon_s / step_s)) + 1
-        stable = np.flatnonzero(self.stable)
+            samples = int(np.ceil(horizon_s / step_s)) + 1
         y, u = np.zeros((2, len(self.stable), samples))
-        if len(stable):
-            K = Controller(*(p if len(p) == 1 else p[stable] for p in self.K))
-            some = step_responses(self.G, K, self.sampling, step_s, samples)
-            y[stable], u[stable] = some.y, some.u
-        return StepResponses(step_s * np.arange(float(samples)), y, u)
+        if self.stable.any():
+            some = step_responses(self.G, self._stable_controllers, self.sampling, step_s, samples)
+            y[self.stable], u[self.stable] = some.y, some.u
+        every = -(-samples // _MOST_SAMPLES)
+        return StepResponses(step_s * np.arange(float(samples))[::every], y[:, ::every], u[:, ::every])
 
-    @cached_property
+    @property
     def overshoot(self) -> Array:
-        """Largest y over its final value, less 1 (B,); between samples by a parabola."""
-        y = self.response.y
-        k = np.clip(y.argmax(axis=-1), 1, y.shape[-1] - 2)[:, None]
-        before, top, after = (np.take_along_axis(y, k + i, axis=-1)[:, 0] for i in (-1, 0, 1))
-        highest = y.max(axis=-1)
-        if self.sampling is None:
-            bend = before - 2.0 * top + after
-            with np.errstate(divide="ignore", invalid="ignore"):
-                rise = -0.125 * (after - before) ** 2 / bend
-            highest = highest + np.where((bend < 0.0) & (top == highest), rise, 0.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.maximum(highest / self.final_value - 1.0, 0.0))
+        """Largest y over its final value, less 1 (B,); ∞ where unstable, or y goes to 0."""
+        return np.asarray(np.maximum(self._course.highest - 1.0, 0.0))
 
-    @cached_property
+    @property
     def settling_s(self) -> Array:
-        """Time (B,) after which y stays within 2 % of its final value; ∞ if not within the horizon."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            off = np.abs(self.response.y / self.final_value[:, None] - 1.0) - _BAND
-        outside = off > 0.0
-        last = off.shape[-1] - 1 - np.argmax(outside[:, ::-1], axis=-1)
-        following = np.minimum(last + 1, off.shape[-1] - 1)
-        rows = np.arange(len(off))
-        a, b = off[rows, last], off[rows, following]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(a > b, a / (a - b), 0.0)
-        settled = self.response.time_s[last] + share * self.response.time_s[1]
-        settled = np.where(outside.any(axis=-1), settled, 0.0)
-        return np.where(outside[:, -1] | ~np.isfinite(self.final_value), np.inf, settled)
+        """Time (B,) after which y stays within 2 % of its final value; ∞ where unstable, or y goes to 0."""
+        return self._course.settled_s
 
-    @cached_property
+    @property
     def rise_s(self) -> Array:
-        """Time (B,) from 10 % to 90 % of the final value; ∞ if not within the horizon."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            relative = self.response.y / self.final_value[:, None]
-            high, low = self._first_above(relative, 0.9), self._first_above(relative, 0.1)
-            return np.where(np.isfinite(high), high - low, np.inf)
+        """Time (B,) from 10 % to 90 % of the final value; ∞ as for settling."""
+        return self._course.rise_s
 
-    def _first_above(self, relative: Array, level: float) -> Array:
-        reached = relative >= level
-        k = np.argmax(reached, axis=-1)
-        rows = np.arange(len(relative))
-        a, b = relative[rows, np.maximum(k - 1, 0)], relative[rows, k]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(b > a, (level - a) / (b - a), 1.0)
-        time_s = (np.maximum(k - 1, 0) + np.where(k > 0, share, 0.0)) * self.response.time_s[1]
-        return np.where(reached.any(axis=-1), time_s, np.inf)
+    @property
+    def itae(self) -> Array:
+        """∫ t |1 - y| dt (B,) in s², y relative to its final value; ∞ as for settling."""
+        return self._course.itae
 
     @cached_property
     def effort(self) -> Array:
         """Largest |u| (B,) after a unit step of the setpoint, in output units of the controller."""
-        return np.asarray(np.abs(self.response.u).max(axis=-1))
+        num = poly.multiply(np.atleast_2d(self.G.den), self.K.num_r)
+        with np.errstate(all="ignore"):
+            final = np.broadcast_to(num[:, -1] / self.closed[:, -1], self.stable.shape)
+        direct = np.zeros(len(self.stable))
+        if self.stable.any():
+            direct[self.stable] = self._step.D[:, 1, 0]
+        unit = np.maximum(np.abs(final), np.abs(direct))
+        course = self._follow(1, num, final, np.where(unit > 0.0, unit, 1.0))
+        return np.asarray(np.where(unit > 0.0, unit, 1.0) * np.maximum(course.highest, -course.lowest))
+
+    @cached_property
+    def _course(self) -> StepCourse:
+        num = poly.multiply(np.atleast_2d(self.G.num), self.K.num_r)
+        return self._follow(0, num, self.final_value, self.final_value)
+
+    def _follow(self, output: int, num: Array, final: Array, unit: Array) -> StepCourse:
+        """y (0) or u (1), num its numerators over ``closed``, relative to ``unit``; ∞ where unstable."""
+        found = StepCourse(*np.full((5, len(self.stable)), np.inf))
+        chosen = np.flatnonzero(self.stable & np.isfinite(unit) & (unit != 0.0))
+        if len(chosen):
+            among = np.searchsorted(np.flatnonzero(self.stable), chosen)
+            A, B, C, D = (part[among] for part in self._step)
+            scale = 1.0 / unit[chosen]
+            C, D = (scale[:, None, None] * part[:, output : output + 1] for part in (C, D))
+            num = num if len(num) == 1 and len(self.stable) > 1 else num[chosen]
+            shown = modes(num, self.closed[chosen], self.sampling, np.abs(unit[chosen]))
+            course = follow(
+                StateSpace(A, B, C, D), final[chosen] * scale, shown, self.sampling, is_effort=output == 1
+            )
+            for all_of_them, some in zip(found, course, strict=True):
+                all_of_them[chosen] = some
+        return found
+
+    @cached_property
+    def _stable_controllers(self) -> Controller:
+        stable = self.stable
+        return Controller(*(p if len(p) == 1 and len(stable) > 1 else p[stable] for p in self.K))
+
+    @cached_property
+    def _step(self) -> StateSpace:
+        """From r to [y, u], of the stable loops."""
+        with np.errstate(all="ignore"):
+            return closed_loop(self.G, self._stable_controllers)
 
     @cached_property
     def error(self) -> Array:

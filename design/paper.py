@@ -29,7 +29,6 @@ from design.weight_selection import select_weight
 PAPER_DESIGN = "paper.toml"
 SEEDS = range(1, 11)
 """Of the paper's genetic algorithm, whose own seed it does not tell."""
-_HORIZON_S = 6.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
     optimum = synthesise(plant, W1, pid, on_progress=stage("optimum, PID", 6000))
     best_pi = synthesise(plant, W1, STRUCTURES["pi"], searcher=pi_searcher(1))
 
-    problem = Problem(plant, W1, None, asked.rig_sampling, _HORIZON_S)
+    problem = Problem(plant, W1, None, asked.rig_sampling)
     without_delay = Sampling(PERIOD_S, delay_samples=0)
     cycle = baselines.ultimate_cycle(plant.transfer_function(without_delay), without_delay)
     zn, tlc = baselines.ziegler_nichols(cycle), baselines.tyreus_luyben(cycle)
@@ -101,7 +100,7 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
     )
     measures = tuple(problem.measure(candidate) for candidate in candidates)
     G, Gs = problem.loop_plant, shaped(problem.loop_plant, W1)
-    selecting = Loops(G, baselines.loop_shaping_controller(G, W1), W=W1, horizon_s=_HORIZON_S, desired=Gs)
+    selecting = Loops(G, baselines.loop_shaping_controller(G, W1), W=W1, desired=Gs)
     best_genetic = max(genetic, key=lambda synthesis: synthesis.eps)
     weight = replace(
         max(genetic_weights, key=lambda selection: selection.eps_opt, default=best_weight),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 
 def multiply(*factors: Array) -> Array:

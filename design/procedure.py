@@ -21,7 +21,7 @@ from design.loop_shaping import shaped
 from design.nu_gap import nu_gap
 from design.plant import Plant
 from design.search import Progress, Searcher
-from design.specifications import Reading, readings, response_horizon_s
+from design.specifications import Reading, readings
 from design.structures import STRUCTURES, Controller, Structure, tustin_law
 from design.synthesis import Synthesis, synthesise
 from design.weight_selection import LEAST_COMPATIBLE, WeightSelection, select_weight
@@ -147,9 +147,7 @@ def carry_out(
         )
     except NotStabilisedError as error:
         raise NotStabilisedError(f"{error}{_if_reversed(plant)}") from None
-    problem = Problem(
-        plant, weight.weight, sampling, design_file.rig_sampling, response_horizon_s(specifications)
-    )
+    problem = Problem(plant, weight.weight, sampling, design_file.rig_sampling)
     label = design_file.controller.structure.rpartition(":")[2]
     designed = of_structure(
         f"{label.upper() if label in STRUCTURES else label} (designed)",

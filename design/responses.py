@@ -34,7 +34,7 @@ def step_responses(
     Not finite where modes are too fast for the arithmetic.
     """
     with np.errstate(all="ignore"):
-        loop = _closed_loop(G, K)
+        loop = closed_loop(G, K)
         A, B, C, D = loop if sampling is None else sampled(loop, sampling.period_s)
         n = A.shape[-1]
         M = np.zeros((len(A), n + 1, n + 1))
@@ -47,7 +47,7 @@ def step_responses(
     return StepResponses(step_s * np.arange(float(samples)), outputs[:, 0], outputs[:, 1])
 
 
-def _closed_loop(G: TransferFunction, K: Controller) -> StateSpace:
+def closed_loop(G: TransferFunction, K: Controller) -> StateSpace:
     """From r to [y, u], batched."""
     num, den, num_r = (np.atleast_2d(p) for p in K)
     Ag, Bg, _, Dg = observer_form(np.atleast_2d(G.den), np.atleast_2d(G.num))

@@ -178,17 +178,6 @@ def compromise(what: str, parameters: Mapping[str, float], read: Sequence[Readin
     )
 
 
-def response_horizon_s(specifications: Sequence[Specification]) -> float:
-    """How long steps must be followed to read the specifications off them."""
-    horizons = {
-        "settling_s": lambda limit: 5.0 * limit,
-        "rise_s": lambda limit: 15.0 * limit,
-        "bandwidth_rad_s": lambda limit: 24.0 / limit,
-        "closed_bandwidth_rad_s": lambda limit: 24.0 / limit,
-    }
-    return max((horizons[s.quantity](s.limit) for s in specifications if s.quantity in horizons), default=6.0)
-
-
 PAPER = (
     Specification("overshoot", 0.05),
     Specification("settling_s", 1.2),

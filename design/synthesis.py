@@ -29,7 +29,6 @@ from design.specifications import (
     Specification,
     compromise,
     readings,
-    response_horizon_s,
     violations,
 )
 from design.structures import Structure
@@ -74,11 +73,10 @@ def synthesise(
     """The best controller found. Raises NotStabilisedError, or InfeasibleError if specifications fail."""
     models = as_models(plants, sampling)
     box = Box(structure.parameters)
-    horizon_s = response_horizon_s(specifications)
 
     def loops(G: TransferFunction, points: Array) -> Loops:
         K = structure.controller(box.decode(points))
-        return Loops(G, K, W=weight, sampling=sampling, horizon_s=horizon_s)
+        return Loops(G, K, W=weight, sampling=sampling)
 
     def objective(points: Array, worth: Array) -> Array:
         K = structure.controller(box.decode(points))

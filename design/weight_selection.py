@@ -28,7 +28,6 @@ from design.specifications import (
     Specification,
     compromise,
     readings,
-    response_horizon_s,
     violations,
 )
 from design.structures import IntegralWeight, Structure, of_error
@@ -74,13 +73,12 @@ def select_weight(
     structure = IntegralWeight() if structure is None else structure
     models = as_models(plants, sampling)
     box = Box(structure.parameters)
-    horizon_s = response_horizon_s(specifications)
 
     def loops(G: TransferFunction, W: TransferFunction) -> tuple[Loops, Array]:
         Gs = shaped(G, W)
         K_inf, eps_opt = central_controllers(Gs, gamma_factor)
         num, den = poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den)
-        batch = Loops(G, of_error(num, den), W=W, sampling=sampling, horizon_s=horizon_s, desired=Gs)
+        batch = Loops(G, of_error(num, den), W=W, sampling=sampling, desired=Gs)
         return batch, eps_opt
 
     def objective(points: Array, _worth: Array) -> Array:
