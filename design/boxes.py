@@ -11,8 +11,8 @@ import numpy as np
 from design.errors import DesignError
 from design.polynomials import Array, Flags
 
-_AT_A_WALL = 1e-3
-"""Of the box's width, as coded."""
+_AT_A_WALL = 1e-2
+"""Of the box's width, as coded: a searcher comes near a wall only slowly."""
 
 
 @dataclass(frozen=True)

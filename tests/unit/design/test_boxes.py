@@ -49,6 +49,6 @@ def test_impossible_boxes_are_refused(arguments: tuple[str, float, float], named
 
 
 def test_walls_are_told_by_name() -> None:
-    assert BOX.at_walls(np.array([0.9999, 0.5])) == ("x",)
+    assert BOX.at_walls(np.array([0.995, 0.5])) == ("x",)
     assert BOX.at_walls(np.array([0.5, 0.5])) == ()
     assert BOX.at_walls(np.array([0.0, 1.0])) == ("x", "y")
