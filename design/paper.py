@@ -19,7 +19,7 @@ from design.loop_shaping import shaped
 from design.loops import Loops
 from design.paper_claims import HLS, PERIOD_S, PPID, W1, Evidence, Verdict, judge
 from design.plant import Sampling, paper_plant
-from design.procedure import Design, OnProgress, of_polynomials, of_structure, pi_searcher, stage_progress
+from design.procedure import PI_EVALUATIONS, Design, OnProgress, of_polynomials, of_structure, stage_progress
 from design.search import Progress
 from design.specifications import readings
 from design.structures import STRUCTURES, of_error
@@ -64,7 +64,7 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
                     plant,
                     structure=weight_structure,
                     specifications=specifications,
-                    searcher=seeded.weight_searcher(len(weight_structure.parameters)),
+                    searcher=seeded.weight_searcher,
                     on_progress=stage("the paper's search, W1", per_weight * len(SEEDS), per_weight * done),
                 )
             )
@@ -74,7 +74,7 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
                 plant,
                 W1,
                 structure,
-                searcher=asked.with_seed(seed).controller_searcher(len(structure.parameters)),
+                searcher=asked.with_seed(seed).controller_searcher,
                 on_progress=stage(
                     "the paper's search, PID", per_controller * len(SEEDS), per_controller * done
                 ),
@@ -82,7 +82,7 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
         )
     best_weight = select_weight(plant, on_progress=stage("optimum, W1", 2000))
     optimum = synthesise(plant, W1, pid, on_progress=stage("optimum, PID", 6000))
-    best_pi = synthesise(plant, W1, STRUCTURES["pi"], searcher=pi_searcher(1))
+    best_pi = synthesise(plant, W1, STRUCTURES["pi"], evaluations=PI_EVALUATIONS)
 
     problem = Problem(plant, W1, None, asked.rig_sampling)
     without_delay = Sampling(PERIOD_S, delay_samples=0)

@@ -15,18 +15,20 @@ from design import baselines, margins
 from design.boxes import Parameter, with_boxes
 from design.comparison import Candidate, Measures, Problem
 from design.design_file import DesignFile
-from design.differential_evolution import DifferentialEvolution
 from design.errors import DesignError, NotStabilisedError
 from design.loop_shaping import shaped
 from design.nu_gap import nu_gap
 from design.plant import Plant
-from design.search import Progress, Searcher
+from design.search import Progress
 from design.specifications import Reading, readings
 from design.structures import STRUCTURES, Controller, Structure, tustin_law
 from design.synthesis import Synthesis, synthesise
 from design.weight_selection import LEAST_COMPATIBLE, WeightSelection, select_weight
 
 WEIGHT_STAGE, CONTROLLER_STAGE = "weight W1", "controller"
+
+PI_EVALUATIONS = 1500
+"""Enough of a search for the two parameters of the PI to compare with."""
 
 OnProgress = Callable[[str, Progress, int], None]
 """Called after every generation with the stage, where it stands, and how many candidates it may judge."""
@@ -130,7 +132,7 @@ def carry_out(
         specifications=specifications,
         sampling=sampling,
         gamma_factor=design_file.weight.gamma_factor,
-        searcher=design_file.weight_searcher(len(weight_structure.parameters)),
+        searcher=design_file.weight_searcher,
         on_progress=stage_progress(on_progress, WEIGHT_STAGE, design_file.search.weight_evaluations),
     )
     try:
@@ -139,8 +141,9 @@ def carry_out(
             weight.weight,
             structure,
             specifications=specifications if design_file.controller.must_meet_specifications else (),
+            aims=[s for s in specifications if not s.kind.is_of_desired],
             sampling=sampling,
-            searcher=design_file.controller_searcher(len(structure.parameters)),
+            searcher=design_file.controller_searcher,
             on_progress=stage_progress(
                 on_progress, CONTROLLER_STAGE, design_file.search.controller_evaluations
             ),
@@ -151,7 +154,7 @@ def carry_out(
     label = design_file.controller.structure.rpartition(":")[2]
     designed = of_structure(
         f"{label.upper() if label in STRUCTURES else label} (designed)",
-        f"structure {label}, largest ε of eq. (13), {synthesis.search.searcher}",
+        f"structure {label}, largest ε of eq. (13), {synthesis.search.searcher}{_setpoint_text(synthesis)}",
         structure,
         synthesis.values,
         problem,
@@ -200,11 +203,6 @@ def stage_progress(
     return lambda p: on_progress(stage, replace(p, evaluations=done + p.evaluations), evaluations)
 
 
-def pi_searcher(seed: int) -> Searcher:
-    """Enough of a search for the two parameters of the PI to compare with."""
-    return DifferentialEvolution(2, seed=seed, evaluations=1500)
-
-
 def _compared(
     design_file: DesignFile, problem: Problem, against: Sequence[Plant]
 ) -> tuple[list[Candidate], list[str]]:
@@ -232,7 +230,8 @@ def _compared(
                 problem.weight,
                 structure,
                 sampling=problem.sampling,
-                searcher=pi_searcher(design_file.search.seed),
+                seed=design_file.search.seed,
+                evaluations=PI_EVALUATIONS,
             )
         except DesignError as error:
             notes.append(f"PI: {error}")
@@ -251,6 +250,16 @@ def _compared(
         gains = tune(cycle)
         found.append(of_structure(name, f"{rule}: {reached}", STRUCTURES["pid"], gains.values, problem))
     return found, notes
+
+
+def _setpoint_text(synthesis: Synthesis) -> str:
+    """How the parameters that no margin sees were chosen."""
+    if not synthesis.setpoint_parameters:
+        return ""
+    return (
+        f"; {', '.join(synthesis.setpoint_parameters)}, which no margin sees: the specifications met where "
+        "they can be, then least ∫ t |e| dt of a setpoint step"
+    )
 
 
 def _guarantee(problem: Problem, designed: Candidate, other: Plant) -> Guarantee:

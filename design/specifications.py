@@ -32,6 +32,11 @@ class Quantity:
     takes: str | None = None
     """What ``at`` is, with its unit; None if it has none."""
 
+    @property
+    def is_of_desired(self) -> bool:
+        """Whether it is read off the open loop whose shape is specified: Gs while weights are selected."""
+        return "{desired}" in self.reading
+
 
 QUANTITIES = {
     "overshoot": Quantity(

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from design import polynomials as poly
-from design.boxes import Parameter
+from design.boxes import Box, Parameter
 from design.errors import DesignError
 from design.plant import TransferFunction, to_z
 from design.polynomials import Array
@@ -61,6 +61,24 @@ class Structure(Protocol):
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """What the daemon runs for one candidate."""
         ...
+
+
+def setpoint_parameters(structure: Structure) -> tuple[str, ...]:
+    """Parameters on which the feedback, and so every margin, does not depend: they shape setpoint steps.
+
+    Found by trying, so that it is true of any structure.
+    """
+    random, box = np.random.default_rng(0), Box(structure.parameters)
+    points = random.random((8, len(box)))
+    num, den, _ = structure.controller(box.decode(points))
+    unseen = []
+    for i, name in enumerate(box.names):
+        moved = points.copy()
+        moved[:, i] = random.random(len(points))
+        changed = structure.controller(box.decode(moved))
+        if np.array_equal(num, changed.num) and np.array_equal(den, changed.den):
+            unseen.append(name)
+    return tuple(unseen)
 
 
 class TustinLaw(ABC):

@@ -4,12 +4,16 @@ Over one plant, or the worst of several with one weight; continuous, or in the s
 delay, the controller by Tustin's rule: what is judged is what runs. Fitness is ε where the loop is stable
 and meets its specifications (if any); else it is below 0 and graded, so that a stable loop of small margin
 never ranks below an unstable one (as it does in eq. (14), with its 0.01).
+
+Parameters that no margin sees (setpoint weights) are chosen last, the feedback as it is: those with which
+specifications hold, and among them those of least ∫ t |e| dt after a setpoint step (ITAE).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -22,7 +26,7 @@ from design.errors import InfeasibleError, NotStabilisedError
 from design.loop_shaping import shaped
 from design.loops import Loops
 from design.plant import Plant, Sampling, TransferFunction, as_models
-from design.polynomials import Array
+from design.polynomials import Array, Indices
 from design.search import Progress, Searcher, SearchResult, maximise
 from design.specifications import (
     Reading,
@@ -31,7 +35,10 @@ from design.specifications import (
     readings,
     violations,
 )
-from design.structures import Structure
+from design.structures import Structure, setpoint_parameters
+
+_SETPOINT_EVALUATIONS = 600
+"""A parameter."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,8 @@ class Synthesis:
     readings: tuple[Reading, ...]
     at_walls: tuple[str, ...]
     """Parameters that ended at an end of their box: a wider one may allow more."""
+    setpoint_parameters: tuple[str, ...]
+    """Those that no margin sees."""
     sampling: Sampling | None
     search: SearchResult
 
@@ -64,21 +73,34 @@ def synthesise(
     structure: Structure,
     *,
     specifications: Sequence[Specification] = (),
+    aims: Sequence[Specification] = (),
     sampling: Sampling | None = None,
-    searcher: Searcher | None = None,
+    searcher: Callable[[int], Searcher] | None = None,
     seed: int = 1,
     evaluations: int = 6000,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Synthesis:
-    """The best controller found. Raises NotStabilisedError, or InfeasibleError if specifications fail."""
+    """The best controller found, the specifications held; ``aims`` are for parameters that no margin sees.
+
+    ``searcher`` makes one for so many parameters. Raises NotStabilisedError, or InfeasibleError if
+    specifications fail.
+    """
     models = as_models(plants, sampling)
     box = Box(structure.parameters)
+    setpoint = setpoint_parameters(structure)
+    is_setpoint = np.array([name in setpoint for name in box.names])
+    # Without specifications to hold, what no margin sees need not be searched with the rest.
+    searched = np.flatnonzero(~is_setpoint) if not specifications else np.arange(len(box))
 
     def loops(G: TransferFunction, points: Array) -> Loops:
         K = structure.controller(box.decode(points))
         return Loops(G, K, W=weight, sampling=sampling)
 
-    def objective(points: Array, worth: Array) -> Array:
+    def whole(points: Array) -> Array:
+        return _placed(np.full(len(box), 0.5), searched, points)
+
+    def objective(some: Array, worth: Array) -> Array:
+        points = whole(some)
         K = structure.controller(box.decode(points))
         fitness = np.full(len(points), np.inf)
         for G in models:
@@ -93,9 +115,20 @@ def synthesise(
             fitness = np.minimum(fitness, margin)
         return fitness
 
-    searcher = searcher or DifferentialEvolution(len(box), seed=seed, evaluations=evaluations)
-    search = maximise(objective, searcher, on_progress)
-    best = search.best[None, :]
+    make = searcher or partial(DifferentialEvolution, seed=seed, evaluations=evaluations)
+    search = maximise(objective, make(len(searched)), on_progress)
+    best = whole(search.best[None, :])
+    if setpoint and search.best_fitness > 0.0:
+        which, feedback = np.flatnonzero(is_setpoint), best[0]
+
+        def setpoint_objective(points: Array, _worth: Array) -> Array:
+            wanted, there = (*specifications, *aims), _placed(feedback, which, points)
+            batches = [loops(G, there) for G in models]
+            worst = [1e6 * violations(wanted, batch) + np.minimum(batch.itae, 1e5) for batch in batches]
+            return np.asarray(-np.max(worst, axis=0))
+
+        last = DifferentialEvolution(len(which), seed=seed, evaluations=_SETPOINT_EVALUATIONS * len(which))
+        best = _placed(feedback, which, maximise(setpoint_objective, last).best[None, :])
     values = box.decode(best)[0]
     parameters = dict(zip(box.names, map(float, values), strict=True))
     if search.best_fitness <= -1e4:
@@ -118,7 +151,15 @@ def synthesise(
         eps_opt=min(float(optimal_margins(shaped(G, weight))[0]) for G in models),
         weight=weight,
         readings=read,
-        at_walls=box.at_walls(search.best),
+        at_walls=tuple(name for name in box.at_walls(best[0]) if name not in setpoint),
+        setpoint_parameters=setpoint,
         sampling=sampling,
         search=search,
     )
+
+
+def _placed(points: Array, which: Indices, values: Array) -> Array:
+    """Points (n, p), all like ``points`` (p,) but for the columns ``which``, which are ``values`` (n, k)."""
+    placed = np.tile(points, (len(values), 1))
+    placed[:, which] = values
+    return placed

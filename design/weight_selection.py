@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -64,12 +65,15 @@ def select_weight(
     specifications: Sequence[Specification] = PAPER,
     sampling: Sampling | None = None,
     gamma_factor: float = 1.1,
-    searcher: Searcher | None = None,
+    searcher: Callable[[int], Searcher] | None = None,
     seed: int = 1,
     evaluations: int = 2000,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> WeightSelection:
-    """The best weight over one plant, or for the worst of several. Raises InfeasibleError."""
+    """The best weight over one plant, or for the worst of several. Raises InfeasibleError.
+
+    ``searcher`` makes one for so many parameters.
+    """
     structure = IntegralWeight() if structure is None else structure
     models = as_models(plants, sampling)
     box = Box(structure.parameters)
@@ -90,8 +94,8 @@ def select_weight(
             fitness = np.minimum(fitness, np.where(failing > 0.0, -failing, eps_opt))
         return fitness
 
-    searcher = searcher or DifferentialEvolution(len(box), seed=seed, evaluations=evaluations)
-    search = maximise(objective, searcher, on_progress)
+    make = searcher or partial(DifferentialEvolution, seed=seed, evaluations=evaluations)
+    search = maximise(objective, make(len(box)), on_progress)
     values = box.decode(search.best[None, :])
     W = structure.controller(values).feedback
     found = [(batch, float(eps_opt[0])) for batch, eps_opt in (loops(G, W) for G in models)]

@@ -24,6 +24,7 @@ from design.structures import (
     Structure,
     TustinLaw,
     of_error,
+    setpoint_parameters,
     tustin_law,
 )
 from design.verification import controller_of_law
@@ -54,6 +55,11 @@ def test_polynomials(name: str) -> None:
     K = STRUCTURES[name].controller(np.array([values]))
     assert value(K.feedback, 2.0j + 0.3) == pytest.approx(formula(2.0j + 0.3))
     assert len(values) == len(STRUCTURES[name].parameters)
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_parameters_that_no_margin_sees(name: str) -> None:
+    assert setpoint_parameters(STRUCTURES[name]) == (("b", "c") if name == "pid-2dof" else ())
 
 
 @pytest.mark.parametrize("name", STRUCTURES)

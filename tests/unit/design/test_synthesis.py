@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from support.paper_loop import BEST_PI, BEST_PID, PERIOD_S, W1
@@ -9,9 +11,10 @@ from support.paper_loop import BEST_PI, BEST_PID, PERIOD_S, W1
 from design.boxes import Parameter, with_boxes
 from design.errors import DesignError, InfeasibleError, NotStabilisedError
 from design.genetic_algorithm import GeneticAlgorithm
+from design.loops import Loops
 from design.margins import stability_margin
 from design.plant import Plant, Sampling, paper_plant
-from design.specifications import Specification
+from design.specifications import Specification, violations
 from design.structures import STRUCTURES, FreeTransferFunction
 from design.synthesis import Synthesis, synthesise
 from design.verification import controller_of_law
@@ -52,7 +55,7 @@ def test_the_papers_searcher_does_about_as_well_as_the_papers_controller() -> No
     linear = {p.name: Parameter(p.name, p.low, p.high, "linear") for p in STRUCTURES["pid"].parameters}
     structure = with_boxes(STRUCTURES["pid"], linear)
     margins = [
-        synthesise(paper_plant(), W1, structure, searcher=GeneticAlgorithm(4, seed=seed)).eps
+        synthesise(paper_plant(), W1, structure, searcher=partial(GeneticAlgorithm, seed=seed)).eps
         for seed in range(5)
     ]
     # 40 seeds gave a median of .5654 and .5468 at worst.
@@ -95,6 +98,59 @@ def test_specifications_can_be_imposed() -> None:
     bound = synthesise(paper_plant(), W1, STRUCTURES["pid"], specifications=limits, evaluations=1500)
     assert all(reading.met for reading in bound.readings)
     assert bound.eps < free.eps
+
+
+def test_what_no_margin_sees_is_the_same_on_every_seed() -> None:
+    """b and c of the PID with setpoint weights: least ∫ t |e| dt, the margin that of the PID."""
+    sampling, weights = Sampling(PERIOD_S, 1), []
+    plain = synthesise(paper_plant(), W1, STRUCTURES["pid"], sampling=sampling)
+    for seed in range(4):
+        found = synthesise(paper_plant(), W1, STRUCTURES["pid-2dof"], sampling=sampling, seed=seed)
+        assert found.eps == pytest.approx(plain.eps, abs=1e-5)
+        assert found.setpoint_parameters == ("b", "c")
+        assert not found.at_walls, "a setpoint weight of 1 is no wall to be widened"
+        weights.append((found.parameters["b"], found.parameters["c"]))
+    np.testing.assert_allclose(weights, [(0.994, 1.0)] * 4, atol=0.002)
+
+
+def test_setpoint_weights_are_the_best_there_are() -> None:
+    """No other weights on the same feedback have a smaller ∫ t |e| dt."""
+    swinging = plant([1.0], [1.0, 0.4, 4.0, 0.0])
+    found = synthesise(swinging, W1, STRUCTURES["pid-2dof"])
+    assert 0.5 < found.parameters["b"] < 0.8
+    b, c = np.meshgrid(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 11))
+    values = np.tile(found.values, (b.size, 1))
+    values[:, 4], values[:, 5] = b.ravel(), c.ravel()
+    G = plant([1.0], [1.0, 0.4, 4.0, 0.0]).transfer_function()
+    own, others = (
+        Loops(G, STRUCTURES["pid-2dof"].controller(these)).itae
+        for these in (np.array([found.values]), values)
+    )
+    assert own[0] <= others.min()
+
+
+def test_setpoint_weights_meet_what_they_can_at_no_cost_of_margin() -> None:
+    """A valve that may not be kicked: with one degree of freedom it costs margin, with two none."""
+    limits = [Specification("effort_v", 1.0, at=0.1), Specification("overshoot", 0.1)]
+    free = synthesise(paper_plant(), W1, STRUCTURES["pid"])
+    aimed = synthesise(paper_plant(), W1, STRUCTURES["pid-2dof"], aims=limits)
+    imposed = synthesise(paper_plant(), W1, STRUCTURES["pid-2dof"], specifications=limits)
+    one_degree = synthesise(paper_plant(), W1, STRUCTURES["pid"], specifications=limits)
+    assert aimed.eps == pytest.approx(free.eps, abs=1e-5)
+    loops = Loops(
+        paper_plant().transfer_function(), STRUCTURES["pid-2dof"].controller(np.array([aimed.values]))
+    )
+    assert violations(limits, loops)[0] == 0.0
+    assert all(reading.met for reading in imposed.readings)
+    assert one_degree.eps < imposed.eps - 0.005
+    with pytest.raises(InfeasibleError, match="effort_v"):
+        synthesise(
+            paper_plant(),
+            W1,
+            STRUCTURES["pid-2dof"],
+            specifications=[Specification("effort_v", 0.01, at=0.1)],
+            evaluations=600,
+        )
 
 
 def test_infeasible_specifications() -> None:

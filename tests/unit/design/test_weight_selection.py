@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from support.paper_loop import PERIOD_S, W1
@@ -50,7 +52,7 @@ def test_the_papers_searcher_comes_near() -> None:
     found = select_weight(
         paper_plant(),
         structure=with_boxes(IntegralWeight(), linear),
-        searcher=GeneticAlgorithm(2, seed=3, population=100, generations=20),
+        searcher=partial(GeneticAlgorithm, seed=3, population=100, generations=20),
     )
     assert 0.55 < found.eps_opt <= 0.60358
     assert found.search.searcher == "genetic algorithm"
@@ -105,7 +107,7 @@ def test_infeasible_specifications_are_named_at_the_best_compromise() -> None:
         select_weight(
             paper_plant(),
             specifications=(*PAPER, Specification("bandwidth_rad_s", 40.0)),
-            searcher=DifferentialEvolution(2, seed=1, evaluations=600),
+            searcher=partial(DifferentialEvolution, seed=1, evaluations=600),
         )
     text = str(refusal.value)
     assert "bandwidth_rad_s" in text
