@@ -104,6 +104,9 @@ def _problem(Gs: TransferFunction) -> _Problem:
         poly.add(den, np.zeros((len(num), 1))) / lead,
     )
     roots: ComplexArray = -np.sqrt(-poly.roots(Power(num, den).coefficients))
+    # A hidden mode on the axis is a root of m there: any other roots will do, for nothing stabilises.
+    hidden = ~(np.isfinite(roots) & (roots.real < 0.0)).all(axis=-1)
+    roots[hidden] = -1.0
     roots = np.take_along_axis(roots, np.argsort(-np.abs(roots), axis=-1), axis=-1)
     scale = np.exp(np.log(np.abs(roots) + 1e-300).mean(axis=-1)) if N else np.ones(len(den))
     down = scale[:, None] ** -np.arange(N + 1.0)
@@ -112,13 +115,14 @@ def _problem(Gs: TransferFunction) -> _Problem:
     i = np.arange(N)
     A = np.where(i[:, None] > i, -b[:, :, None] * b[:, None, :], 0.0).astype(np.complex128)
     A[:, i, i] = roots
-    n_A, n_mirrored_A = _at_matrix(n, A)
-    d_A, d_mirrored_A = _at_matrix(d, A)
-    cos, sin = _mixture(n_mirrored_A[:, i, i], d_mirrored_A[:, i, i])
-    below = cos * d_mirrored_A - sin * n_mirrored_A
-    below[:, i, i] += _NEARLY_ZERO
-    above = sin * d_A + cos * n_A
     with np.errstate(all="ignore"):
+        n_A, n_mirrored_A = _at_matrix(n, A)
+        d_A, d_mirrored_A = _at_matrix(d, A)
+        cos, sin = _mixture(n_mirrored_A[:, i, i], d_mirrored_A[:, i, i])
+        below = cos * d_mirrored_A - sin * n_mirrored_A
+        below[:, i, i] += _NEARLY_ZERO
+        above = sin * d_A + cos * n_A
+        below[hidden], above[hidden] = np.eye(N), _HUGE * np.eye(N)
         R = np.linalg.solve(below.transpose(0, 2, 1), above.transpose(0, 2, 1)).transpose(0, 2, 1)
         R[~(np.abs(R) < _HUGE)] = _HUGE
     return _Problem(n, roots, A, b, R.astype(np.complex128), (n_A, n_mirrored_A, d_A, d_mirrored_A), scale)

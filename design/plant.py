@@ -18,6 +18,7 @@ import numpy as np
 
 from design import polynomials as poly
 from design.errors import DesignError
+from design.plant_limits import because, hidden_text, hidden_unstable_mode, what_limits
 from design.polynomials import Array
 from hil.documents import Document, from_json
 from hil.errors import DocumentError
@@ -83,6 +84,9 @@ def read_plant(text: str, source: str) -> Plant:
             f"{source}: num has degree {len(G.num) - 1}, den {len(G.den) - 1}: improper, no plant answers "
             "before its input; check the order of the coefficients (falling powers of s)"
         )
+    hidden = hidden_unstable_mode(G.num, G.den)
+    if hidden is not None:
+        raise DocumentError(f"{source}: {hidden_text(hidden)}")
     return plant
 
 
@@ -92,9 +96,34 @@ def check_plant_fits(plant: Plant, source: str, unit: str) -> None:
         raise DocumentError(f"{source}: output_unit: {plant.output_unit}, but the axis is in {unit}")
 
 
+def as_list(plants: Plant | Sequence[Plant]) -> list[Plant]:
+    """One plant or several."""
+    return [plants] if isinstance(plants, Plant) else list(plants)
+
+
+def limits_of(plants: Plant | Sequence[Plant], sampling: Sampling | None, wanted_rad_s: float = 0.0) -> str:
+    """What these plants make hard for any controller, to be told with a failure; empty if nothing.
+
+    ``wanted_rad_s`` is the crossover that was asked for.
+    """
+    several = as_list(plants)
+    delay_s = 0.0 if sampling is None else (sampling.delay_samples + 0.5) * sampling.period_s
+    return because(
+        [
+            limit if len(several) == 1 else f"{plant.name}: {limit}"
+            for plant in several
+            for limit in what_limits(*plant.transfer_function(), delay_s, wanted_rad_s)
+        ]
+    )
+
+
 def as_models(plants: Plant | Sequence[Plant], sampling: Sampling | None) -> list[TransferFunction]:
-    """What the loop sees of one plant or several."""
-    several = [plants] if isinstance(plants, Plant) else list(plants)
+    """What the loop sees of one plant or several. Raises DesignError where a mode is hidden and unstable."""
+    several = as_list(plants)
+    for plant in several:
+        hidden = hidden_unstable_mode(*plant.transfer_function())
+        if hidden is not None:
+            raise DesignError(f"plant {plant.name}: {hidden_text(hidden)}")
     return [plant.transfer_function(sampling) for plant in several]
 
 

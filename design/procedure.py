@@ -98,6 +98,11 @@ class Design:
                 f"ε_opt {self.weight.eps_opt:.3f} is under {LEAST_COMPATIBLE}: these specifications leave no "
                 "robust loop; relax them or change the weight structure"
             )
+        elif self.eps < LEAST_COMPATIBLE and self.eps > 0.9 * self.problem.eps_opt:
+            found.append(
+                f"ε {self.eps:.3f} is under {LEAST_COMPATIBLE}, and no controller has more than "
+                f"{self.problem.eps_opt:.3f} with this weight: relax the specifications"
+            )
         elif self.eps < LEAST_COMPATIBLE:
             found.append(
                 f"ε {self.eps:.3f} is under {LEAST_COMPATIBLE}: the structure does not suit the plant"
@@ -279,6 +284,6 @@ def _if_reversed(plant: Plant) -> str:
     if np.trim_zeros(G.num, "b")[-1] * G.den[0] > 0.0:
         return ""
     return (
-        ". The plant's gain is negative: reverse the valve or the potentiometer in the rig file and in the "
-        'model, or give boxes below 0 with coding = "linear"'
+        "\nNote: the plant's gain is negative: reverse the valve or the potentiometer in the rig file and in "
+        'the model, or give boxes below 0 with coding = "linear"'
     )

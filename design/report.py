@@ -22,7 +22,7 @@ from design.measured import ModelFit
 from design.plant import TransferFunction
 from design.polynomials import Array
 from design.procedure import Design
-from design.specifications import QUANTITIES, Reading, Specification
+from design.specifications import Specification
 from hil.documents import to_json
 
 if TYPE_CHECKING:
@@ -197,9 +197,9 @@ def _specification_rows(design: Design) -> list[dict[str, str | bool]]:
                 "quantity": specification.quantity,
                 "limit": _limit(specification),
                 "reading": selecting.reading,
-                "selecting": _value(selecting),
+                "selecting": selecting.value_text,
                 "selecting_met": selecting.met,
-                "designed": _value(designed) + ("" if same else ", of GK"),
+                "designed": designed.value_text + ("" if same else ", of GK"),
                 "judged": same or binding,
                 "designed_met": designed.met,
             }
@@ -209,11 +209,7 @@ def _specification_rows(design: Design) -> list[dict[str, str | bool]]:
 
 def _limit(specification: Specification) -> str:
     sign = "≤" if specification.kind.limit_is_largest else "≥"
-    return f"{sign} {specification.limit:g} {specification.kind.unit}"
-
-
-def _value(reading: Reading) -> str:
-    return f"{reading.value:.4g} {QUANTITIES[reading.quantity].unit}"
+    return f"{sign} {specification.limit:g} {specification.kind.unit}".rstrip()
 
 
 def _parameters(parameters: object) -> str:

@@ -16,7 +16,8 @@ from design.errors import DesignError
 from design.loops import Loops
 from design.polynomials import Array
 
-_UNSTABLE = 1e3
+UNSTABLE = 1e3
+"""Violation from which on a loop is unstable."""
 _WORST = 1e2
 
 
@@ -146,9 +147,13 @@ class Reading:
     def __str__(self) -> str:
         sign = "<=" if QUANTITIES[self.quantity].limit_is_largest else ">="
         verdict = "met" if self.met else "NOT met"
-        return (
-            f"{self.quantity} {self.value:.4g} {self.unit} {verdict} ({sign} {self.limit:g}; {self.reading})"
-        )
+        return f"{self.quantity} {self.value_text} {verdict} ({sign} {self.limit:g}; {self.reading})"
+
+    @property
+    def value_text(self) -> str:
+        """The value with its unit."""
+        value = f"{self.value:.4g}" if np.isfinite(self.value) else "∞"
+        return f"{value} {self.unit}".rstrip()
 
 
 def violations(specifications: Sequence[Specification], loops: Loops) -> Array:
@@ -156,7 +161,7 @@ def violations(specifications: Sequence[Specification], loops: Loops) -> Array:
     total = np.zeros(len(loops.stable))
     for specification in specifications:
         total = total + specification.violation(specification.read(loops))
-    return np.where(loops.stable, total, total + _UNSTABLE)
+    return np.where(loops.stable, total, total + UNSTABLE)
 
 
 def readings(specifications: Sequence[Specification], loops: Loops) -> tuple[Reading, ...]:
@@ -173,14 +178,21 @@ def readings(specifications: Sequence[Specification], loops: Loops) -> tuple[Rea
     return tuple(result)
 
 
-def compromise(what: str, parameters: Mapping[str, float], read: Sequence[Reading]) -> str:
+def compromise(
+    what: str, parameters: Mapping[str, float], at_walls: Sequence[str], read: Sequence[Reading]
+) -> str:
     """The text of an InfeasibleError: what fails, and by how much, at the best that was found."""
     at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
-    failed = "; ".join(str(reading) for reading in read if not reading.met)
-    return (
-        f"no {what} in its box meets all specifications. Best compromise ({at}): {failed}. "
-        "Relax what fails, or widen the box"
-    )
+    failed = "".join(f"\n  {reading}" for reading in read if not reading.met)
+    advice = "relax what fails, or choose another structure"
+    if at_walls:
+        advice = f"{', '.join(at_walls)} at an end of the box: widen it, or relax what fails"
+    return f"no {what} in its box meets all specifications. Best compromise ({at}):{failed}\nNext: {advice}"
+
+
+def wanted_crossover(specifications: Sequence[Specification]) -> float:
+    """The largest bandwidth asked for in rad/s; 0 if none is."""
+    return max((s.limit for s in specifications if s.quantity.endswith("bandwidth_rad_s")), default=0.0)
 
 
 PAPER = (

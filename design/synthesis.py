@@ -25,7 +25,7 @@ from design.differential_evolution import DifferentialEvolution
 from design.errors import InfeasibleError, NotStabilisedError
 from design.loop_shaping import shaped
 from design.loops import Loops
-from design.plant import Plant, Sampling, TransferFunction, as_models
+from design.plant import Plant, Sampling, TransferFunction, as_models, limits_of
 from design.polynomials import Array, Indices
 from design.search import Progress, Searcher, SearchResult, maximise
 from design.specifications import (
@@ -131,18 +131,22 @@ def synthesise(
         best = _placed(feedback, which, maximise(setpoint_objective, last).best[None, :])
     values = box.decode(best)[0]
     parameters = dict(zip(box.names, map(float, values), strict=True))
+    at_walls = tuple(name for name in box.at_walls(best[0]) if name not in setpoint)
     if search.best_fitness <= -1e4:
         raise NotStabilisedError(
             f"no {type(structure).__name__} in its box stabilises the plant: the best of "
             f"{search.evaluations} candidates still has a closed-loop pole at Re s = "
             f"{-search.best_fitness - 1e4:.3g} rad/s; widen the boxes, or choose another structure"
+            + limits_of(plants, sampling)
         )
     batches = [loops(G, best) for G in models]
     eps = [float(batch.margin[0]) for batch in batches]
     worst = max(batches, key=lambda batch: float(violations(specifications, batch)[0]))
     read = readings(specifications, worst)
     if search.best_fitness < 0.0:
-        raise InfeasibleError(compromise("controller", parameters, read))
+        raise InfeasibleError(
+            compromise("controller", parameters, at_walls, read) + limits_of(plants, sampling)
+        )
     return Synthesis(
         structure=structure,
         parameters=parameters,
@@ -151,7 +155,7 @@ def synthesise(
         eps_opt=min(float(optimal_margins(shaped(G, weight))[0]) for G in models),
         weight=weight,
         readings=read,
-        at_walls=tuple(name for name in box.at_walls(best[0]) if name not in setpoint),
+        at_walls=at_walls,
         setpoint_parameters=setpoint,
         sampling=sampling,
         search=search,

@@ -17,19 +17,21 @@ from design import polynomials as poly
 from design.boxes import Box
 from design.central_controller import central_controllers
 from design.differential_evolution import DifferentialEvolution
-from design.errors import InfeasibleError
+from design.errors import InfeasibleError, NotStabilisedError
 from design.loop_shaping import shaped
 from design.loops import Loops
-from design.plant import Plant, Sampling, TransferFunction, as_models
+from design.plant import Plant, Sampling, TransferFunction, as_models, limits_of
 from design.polynomials import Array
 from design.search import Progress, Searcher, SearchResult, maximise
 from design.specifications import (
     PAPER,
+    UNSTABLE,
     Reading,
     Specification,
     compromise,
     readings,
     violations,
+    wanted_crossover,
 )
 from design.structures import IntegralWeight, Structure, of_error
 
@@ -70,7 +72,7 @@ def select_weight(
     evaluations: int = 2000,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> WeightSelection:
-    """The best weight over one plant, or for the worst of several. Raises InfeasibleError.
+    """The best weight over one plant, or for the worst of several. Raises DesignError.
 
     ``searcher`` makes one for so many parameters.
     """
@@ -102,15 +104,21 @@ def select_weight(
     worst = max(found, key=lambda item: float(violations(specifications, item[0])[0]))
     read = readings(specifications, worst[0])
     parameters = dict(zip(box.names, map(float, values[0]), strict=True))
+    at_walls = box.at_walls(search.best)
     if search.best_fitness < 0.0:
-        raise InfeasibleError(compromise("weight", parameters, read))
+        limits = limits_of(plants, sampling, wanted_crossover(specifications))
+        if search.best_fitness <= -UNSTABLE:
+            raise NotStabilisedError(
+                f"no weight in its box leaves a loop that its own full-order controller stabilises{limits}"
+            )
+        raise InfeasibleError(compromise("weight", parameters, at_walls, read) + limits)
     return WeightSelection(
         parameters=parameters,
         weight=TransferFunction(*(np.ravel(p) for p in W)),
         eps_opt=min(eps for _, eps in found),
         gamma_factor=gamma_factor,
         readings=read,
-        at_walls=box.at_walls(search.best),
+        at_walls=at_walls,
         sampling=sampling,
         search=search,
     )

@@ -235,7 +235,7 @@ def test_reversed_plant_is_told_as_such(here: Path, capsys: pytest.CaptureFixtur
     plant = write_plant(here, num=[-x for x in paper_plant().num])
     said = error_of([plant], capsys)
     assert "stabilises the plant" in said
-    assert "The plant's gain is negative: reverse the valve" in said
+    assert "the plant's gain is negative: reverse the valve" in said
 
 
 def test_a_reversed_plant_can_be_designed_for_with_boxes_below_0(here: Path) -> None:

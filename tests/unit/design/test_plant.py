@@ -51,6 +51,13 @@ def test_a_plant_document_comes_back_as_it_was_written() -> None:
         ({"output_unit": "mm"}, "output_unit"),
         ({"sample_time_s": 0.0}, "sample_time_s"),
         ({"gain": 3.0}, "gain"),
+        ({"num": [1.0, -2.0], "den": [1.0, 1.0, -6.0]}, "unstable pole at s = 2 is cancelled by a zero"),
+        ({"num": [1.0, 0.0], "den": [1.0, 3.0, 0.0]}, "num and den share the root s = 0"),
+        (
+            {"num": [1.0, -0.2, 4.0], "den": [1.0, 2.8, 3.4, 12.0]},
+            "unstable pole at s = 0.1 ± 1.997j is cancelled by a zero",
+        ),
+        ({"num": [1.0, 0.0, 9.0], "den": [1.0, 3.0, 9.0, 27.0]}, "pole at s = 0 ± 3j is cancelled"),
         ({"version": 2}, "version"),
     ],
 )

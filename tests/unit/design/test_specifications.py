@@ -110,7 +110,7 @@ def test_an_unstable_loop_is_worse_than_any_violation() -> None:
 
 def test_the_compromise_names_what_fails_and_by_how_much() -> None:
     loops = Loops(G0, pid(*PPID))
-    text = compromise("controller", {"kp": 11.013}, readings([Specification("settling_s", 0.5)], loops))
+    text = compromise("controller", {"kp": 11.013}, (), readings([Specification("settling_s", 0.5)], loops))
     assert "kp 11.01" in text
     assert "settling_s 0.8" in text
     assert "<= 0.5" in text
