@@ -491,6 +491,13 @@ class TestEmergencies:
         assert event == Event(Severity.WARNING, "dac", "EMCY 0x1000 (generic error), error register 0x01")
         assert gateway.state is state
 
+    def test_what_the_vendor_adds_is_told(self) -> None:
+        gateway = hand(State.RUNNING)
+        frame = Frame(codec.EMCY_DAC, codec.encode_emcy_dac(0x8200, 0x11, 2, 7))
+        assert faults(gateway.give(frame)) == [
+            "dac: EMCY 0x8200 (protocol error), error register 0x11, vendor bytes 02 07 00 00 00"
+        ]
+
     @pytest.mark.parametrize("state", LIVE_STATES)
     def test_its_end_is_good_news(self, state: State) -> None:
         gateway = hand(state)
