@@ -7,7 +7,14 @@ import pytest
 import scipy.signal
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from support.random_systems import System, margin_at, patient, slycot_margin, systems
+from support.random_systems import (
+    System,
+    margin_at,
+    margin_of_sections,
+    patient,
+    slycot_margin,
+    systems,
+)
 
 from design import polynomials as poly
 from design.margins import (
@@ -39,10 +46,12 @@ def test_margin_is_slycots_and_attained(G: System, K: System) -> None:
     reference = slycot_margin(G, K)
     assert (margin == 0.0) == (reference == 0.0)
     if margin > 0.0:
-        # A norm that slycot puts higher would be a peak we missed; ours is a value the loop really takes.
-        # (slycot is itself off by some 1e-8 now and then.)
-        assert margin <= reference * (1.0 + 5e-8)
-        assert margin == pytest.approx(margin_at(G, K, omega), rel=1e-8)
+        # Ours is a value the loop really takes; a norm that slycot puts higher would be a peak we missed.
+        attained = margin_of_sections(G, K, omega)
+        assert margin == pytest.approx(attained, rel=1e-8)
+        # slycot is off by some 1e-8 now and then, and by what cancellation costs its state space.
+        blur = abs(margin_at(G, K, omega) / attained - 1.0)
+        assert margin <= reference * (1.0 + 5e-8 + 10.0 * blur)
 
 
 @settings(patient, max_examples=40)

@@ -47,7 +47,7 @@ def test_a_stopped_process_is_killed(stopped: subprocess.Popen[bytes]) -> None:
 def test_boards_that_hang_do_not_hold_up_the_end_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(launch, "BOARDS_PATIENCE_S", 0.05)
     before = set(children_of(os.getpid()))
-    options = argparse.Namespace(rig=None, arm=None, scenario=None, linear=True, seed=0)
+    options = argparse.Namespace(rig=None, arm=None, scenario=None, linear=True, seed=0, event=[])
     with launch._boards_process("udp:43113", options):
         (boards,) = set(children_of(os.getpid())) - before
         os.kill(boards, signal.SIGSTOP)
