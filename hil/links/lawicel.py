@@ -96,6 +96,7 @@ class LawicelBus(slcanBus):
         return self._lines.popleft().decode() if self._lines else None
 
     def _read_lines(self, timeout: float | None) -> list[bytes]:
+        self._finish()
         if not select.select([self.fileno()], [], [], timeout)[0]:
             return []
         arrived = os.read(self.fileno(), 65536)
@@ -108,11 +109,16 @@ class LawicelBus(slcanBus):
 
     def _write(self, string: str) -> None:
         with error_check("cannot write"):
-            self._unsent = self._unsent[self._take(self._unsent) :]
-            if self._unsent:
-                raise BlockingIOError(errno.EAGAIN, "the line's buffer is full")
+            self._finish()
             data = string.encode() + self.LINE_TERMINATOR
-            self._unsent = data[self._take(data) :]
+            taken = 0 if self._unsent else self._take(data)
+            if not taken:
+                raise BlockingIOError(errno.EAGAIN, "the line's buffer is full")
+            self._unsent = data[taken:]
+
+    def _finish(self) -> None:
+        """Go on with a frame of which the line has taken a part."""
+        self._unsent = self._unsent[self._take(self._unsent) :]
 
     def _take(self, data: bytes) -> int:
         """How much of ``data`` the driver takes now."""
