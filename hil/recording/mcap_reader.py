@@ -57,8 +57,6 @@ class McapContents:
         self.path = path
         self.attachments: dict[str, bytes] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self.is_complete = False
-        """Whether the file has a footer; if not, it was cut off, and whole chunks up to there are read."""
         self.channels: dict[str, Channel] = {}
         """By topic."""
         self._schemas: dict[int, Schema] = {}
@@ -79,7 +77,8 @@ class McapContents:
             except _UNREADABLE:
                 kind = Opcode(opcode).name.lower().replace("_", " ")
                 raise RecordingError(f"{path}: the {kind} at byte {offset} is damaged") from None
-        self._check_end(content, places, end)
+        self.is_complete = self._is_ended(content, places, end)
+        """Whether the file has a footer; if not, it was cut off, and whole chunks up to there are read."""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -155,22 +154,22 @@ class McapContents:
             case Opcode.CHUNK:
                 self._index(offset, Chunk.read(_stream(body)))
 
-    def _check_end(self, content: bytes, places: dict[int, tuple[int, int]], end: int) -> None:
+    def _is_ended(self, content: bytes, places: dict[int, tuple[int, int]], end: int) -> bool:
         """Tell a file that was cut off from one that was changed, and hold a whole one to its CRCs.
 
         ``places``: where the last record of each opcode begins and ends; ``end``: of the last whole record.
         """
         rest, has_footer = content[end:], Opcode.FOOTER in places
-        self.is_complete = has_footer and Opcode.DATA_END in places and rest == MCAP0_MAGIC
-        if not self.is_complete:
+        if not (has_footer and Opcode.DATA_END in places and rest == MCAP0_MAGIC):
             if content.endswith(MCAP0_MAGIC) or (has_footer and not MCAP0_MAGIC.startswith(rest)):
                 raise RecordingError(f"{self.path}: damaged: its records do not lead to its end")
-            return
+            return False
         (data_end, summary), (footer, _) = places[Opcode.DATA_END], places[Opcode.FOOTER]
         data_crc = DataEnd.read(_stream(content[data_end + RECORD_HEADER.size :])).data_section_crc
         summary_crc = Footer.read(_stream(content[footer + RECORD_HEADER.size :])).summary_crc
         self._check_crc(content, 0, data_end, data_crc)
         self._check_crc(content, summary, footer + _FOOTER_UP_TO_CRC, summary_crc)
+        return True
 
     def _check_crc(self, content: bytes, start: int, end: int, crc: int) -> None:
         if crc and zlib.crc32(memoryview(content)[start:end]) != crc:

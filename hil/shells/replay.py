@@ -82,28 +82,27 @@ def setup_of(recording: Recording) -> RunSetup:
 
 def verify(recording: Recording) -> ReplayReport:
     """Replay and compare. Raises ReplayMismatchError naming the first difference."""
-    entries = list(recording.entries())
-    first_deadline_ns = next(
-        (entry.deadline_ns for entry in entries if isinstance(entry, DeadlineCalled)), None
-    )
-    if first_deadline_ns is None:
+    first = next((entry for entry in recording.entries() if isinstance(entry, DeadlineCalled)), None)
+    if first is None:
         raise RecordingError(f"{recording.path}: holds no period; there is nothing to replay")
-    gateway = setup_of(recording).gateway(first_deadline_ns)
     try:
-        return _replay(recording, entries, gateway)
+        return _replay(recording, setup_of(recording).gateway(first.deadline_ns))
     except ReplayMismatchError as error:
         recorded_by = recording.metadata.get("run", {}).get("hil", __version__)
         by = "" if recorded_by == __version__ else f" (recorded by hil {recorded_by}, this is {__version__})"
         raise ReplayMismatchError(f"{recording.path}: {error}{by}") from None
 
 
-def _replay(recording: Recording, entries: list[Entry], gateway: Gateway) -> ReplayReport:
+def _replay(recording: Recording, gateway: Gateway) -> ReplayReport:
     axes = tuple(recording.axes)
     answers: deque[Answer] = deque()
-    calls = 0
+    calls = began_ns = now_ns = 0
     compared: Counter[type[Entry]] = Counter()
-    for number, entry in enumerate(entries, 1):
-        at = f"{(entry.now_ns - entries[0].now_ns) / 1e9:.6f} s, message {number}"
+    for number, entry in enumerate(recording.entries(), 1):
+        now_ns = entry.now_ns
+        if number == 1:
+            began_ns = now_ns
+        at = f"{(now_ns - began_ns) / 1e9:.6f} s, message {number}"
         if isinstance(entry, FrameReceived | DeadlineCalled | Operated):
             link_failed = isinstance(entry, Operated) and entry.command.startswith(LINK_FAILED)
             if answers and not link_failed:  # a failing link took the rest of an answer with it
@@ -122,7 +121,7 @@ def _replay(recording: Recording, entries: list[Entry], gateway: Gateway) -> Rep
         compared[FrameSent],
         compared[EventTold],
         compared[CycleRecorded],
-        (entries[-1].now_ns - entries[0].now_ns) / 1e9,
+        (now_ns - began_ns) / 1e9,
         recording.complete,
     )
 

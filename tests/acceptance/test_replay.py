@@ -285,7 +285,7 @@ def test_every_changed_byte_of_a_file_is_found(short: Path, tmp_path: Path) -> N
     assert found.keys() == set(kinds)
 
 
-def kinds_of_records(content: bytes) -> list[str]:
+def kinds_of_records(content: bytes | bytearray) -> list[str]:
     """What each byte of a file belongs to."""
     kinds = ["magic"] * len(MCAP0_MAGIC)
     while len(kinds) < len(content) - len(MCAP0_MAGIC):
@@ -322,6 +322,29 @@ def test_damage_is_told_in_words(
     assert told.startswith(f"refused    {changed}: ")
     assert words in told
     assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize("cut", [0.5, 0.9, -1, -7, -8, -9, -30])
+def test_a_file_that_was_cut_off_is_verified_as_far_as_it_goes(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: float
+) -> None:
+    content = recorded.read_bytes()
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(content[: int(cut * len(content)) if cut > 0 else int(cut)])
+    assert main(["replay", "--verify", str(torn)]) == 0
+    assert "it was cut off: what it holds was verified" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("kind", "place"), [("ATTACHMENT", 700), ("CHUNK", 900)])
+def test_damage_in_a_file_that_was_cut_off_is_found(
+    recorded: Path, tmp_path: Path, kind: str, place: int
+) -> None:
+    content = bytearray(recorded.read_bytes())
+    content[kinds_of_records(content).index(kind) + place] ^= 0x10
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(content[:-100])
+    with pytest.raises(RecordingError, match=f"the {kind.lower()} .* is damaged"):
+        verify(Recording(torn))
 
 
 def test_one_bad_file_does_not_hide_the_next(
