@@ -266,7 +266,7 @@ def _losses(summary: Summary) -> Text:
     from rich.text import Text
 
     counted = (
-        (summary.frames_dropped, "frame", "dropped by this machine"),
+        (summary.frames_dropped, "frame", "dropped on arrival"),
         (summary.frames_not_sent, "frame", "not sent"),
         (summary.frames_rejected, "frame", "rejected"),
         (summary.samples_lost, "sample", "lost"),
