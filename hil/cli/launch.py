@@ -102,9 +102,9 @@ def _header(
             for name, text in setup.texts.items()
         },
         metadata={
+            "documents": setup.digests(),
             "run": {"configuration sha256": setup.fingerprint(), "hil": __version__, **versions},
             "setpoints": {name: setpoint.text for name, setpoint in setup.setpoints.items()},
-            "documents": setup.digests(),
             **({"plant": json.loads(setup.texts["plant.json"])} if "plant.json" in setup.texts else {}),
         },
     )
