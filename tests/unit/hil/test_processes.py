@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import subprocess
@@ -12,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 from support.recorded_runs import children_of
 
-from hil.cli import launch
+from hil.cli import launch, run
 from hil.processes import await_end
 
 
@@ -47,7 +46,7 @@ def test_a_stopped_process_is_killed(stopped: subprocess.Popen[bytes]) -> None:
 def test_boards_that_hang_do_not_hold_up_the_end_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(launch, "BOARDS_PATIENCE_S", 0.05)
     before = set(children_of(os.getpid()))
-    options = argparse.Namespace(rig=None, arm=None, scenario=None, linear=True, seed=0, event=[])
+    options = run._parser().parse_args(["--linear"])
     with launch._boards_process("udp:43113", options):
         (boards,) = set(children_of(os.getpid())) - before
         os.kill(boards, signal.SIGSTOP)
