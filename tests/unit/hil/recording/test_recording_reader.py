@@ -190,6 +190,42 @@ def test_what_was_dropped_ends_the_calls(tmp_path: Path) -> None:
     assert len(recording.timing()) == 200
 
 
+def test_what_was_dropped_at_the_end_is_missed_too(tmp_path: Path) -> None:
+    """No later message tells by its sequence; the recorder's count does."""
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(recorder, 100)
+    recorder._pipe.dropped.update({1: 3, 2: 4})
+    recorder.close({})
+    with pytest.raises(RecordingError, match=rf"{path}: 7 messages after the last one were dropped"):
+        list(Recording(path).calls())
+
+
+@pytest.mark.parametrize("entry", ["epoch_offset_ns", "bus"])
+def test_a_recording_without_its_own_metadata_is_refused(tmp_path: Path, entry: str) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        own = {"epoch_offset_ns": "1", "bus": "vcan0"}
+        writer.add_metadata("recording", {key: value for key, value in own.items() if key != entry})
+        writer.finish()
+    with pytest.raises(RecordingError, match=rf"metadata recording\.{entry} is missing"):
+        Recording(path)
+
+
+def test_a_recording_whose_clock_is_no_number_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        writer.add_metadata("recording", {"epoch_offset_ns": "1x", "bus": "vcan0"})
+        writer.finish()
+    with pytest.raises(RecordingError, match=r"metadata recording\.epoch_offset_ns is no number"):
+        Recording(path)
+
+
 def test_a_damaged_chunk_is_named(path: Path, tmp_path: Path) -> None:
     content = path.read_bytes()
     for chunk in _chunks(path):
