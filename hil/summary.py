@@ -249,8 +249,12 @@ def _rendered(summary: Summary) -> RenderableType:
             rms, largest = 1e3 * axis.rms_error, 1e3 * axis.largest_error
             tracking.add_row(name, f"{rms:.2f} m{unit}", f"{largest:.2f} m{unit}", valve)
     loop = Table("loop", "p50", "p99", "p99.9", "worst", box=SIMPLE_HEAD, pad_edge=False)
-    for name, quantiles in (("lateness", summary.lateness), ("response", summary.response)):
-        loop.add_row(name, *(f"{value:.0f} µs" for value in asdict(quantiles).values()))
+    answered = summary.periods - summary.periods_without_sample
+    for name, quantiles, count in (
+        ("lateness", summary.lateness, summary.periods),
+        ("response", summary.response, answered),
+    ):
+        loop.add_row(name, *(f"{value:.0f} µs" if count else "–" for value in asdict(quantiles).values()))
     counts = (
         f"{summary.periods} periods, {summary.missed_periods} missed, "
         f"{summary.periods_without_sample} without a sample; "

@@ -210,6 +210,22 @@ def test_an_operators_command_that_is_none_is_found(
     assert "no operator's command" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("place", "value"), [(12, 99), (20, 0xFF)])
+def test_a_message_that_cannot_be_read_is_told(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], place: int, value: int
+) -> None:
+    """A level that there is not; a name that is no text."""
+
+    def change(data: bytearray) -> None:
+        data[place] = value
+
+    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/events", 2, change))
+    assert main(["replay", "--verify", str(changed)]) == 2
+    told = capsys.readouterr().err
+    assert f"refused    {changed}: message " in told
+    assert "cannot be read" in told
+
+
 # The documents
 
 

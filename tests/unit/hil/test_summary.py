@@ -175,6 +175,10 @@ def test_a_run_without_a_period_is_summed_up(tmp_path: Path) -> None:
     recorder.close({})
     summary = summarise(Recording(path))
     assert (summary.periods, summary.missed_periods, summary.lateness.worst_us) == (0, 0, 0.0)
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary.table())
+    rows = [line.split() for line in console.export_text().splitlines() if "–" in line]
+    assert rows == [["lateness", *"––––"], ["response", *"––––"]], "no time is not no time at all"
 
 
 def test_the_table_fits_a_terminal_and_shows_what_the_dict_holds(tmp_path: Path) -> None:
