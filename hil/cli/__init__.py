@@ -12,6 +12,7 @@ from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import TextIO
 
 from hil import __version__
 from hil.errors import HilError
@@ -30,6 +31,8 @@ PLUGINS = "hil.commands"
 def main(argv: list[str] | None = None) -> int:
     """Run ``hil`` with ``argv``; returns the exit status."""
     arguments = sys.argv[1:] if argv is None else argv
+    sys.stdout = sys.stdout or _nowhere()  # closed by whoever called: `>&-`
+    sys.stderr = sys.stderr or _nowhere()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a locale without … or µ
     try:
@@ -42,10 +45,10 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        _leave_output()
+        sys.stdout = _nowhere()  # the interpreter shall not try again at its end
         return 141
     except OSError as error:
-        _leave_output()
+        sys.stdout = _nowhere()
         sys.stderr.write(f"hil: {error.filename or 'output'}: {error.strerror}\n")
         return 1
 
@@ -64,9 +67,8 @@ def _main(arguments: list[str]) -> int:
     return command(arguments[1:])
 
 
-def _leave_output() -> None:
-    """Nobody takes it; the interpreter shall not try again at its end."""
-    sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
+def _nowhere() -> TextIO:
+    return Path(os.devnull).open("w")
 
 
 def _find(name: str) -> Callable[[list[str]], int] | None:

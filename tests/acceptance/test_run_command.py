@@ -123,6 +123,17 @@ def test_output_that_finds_no_room_is_told(tmp_path: Path, arguments: list[str])
     assert done.stderr == "hil: output: No space left on device\n"
 
 
+@pytest.mark.parametrize(("run", "closed"), [("--lockstep", ">&-"), ("--linear", "<&- >&- 2>&-")])
+def test_closed_descriptors_are_no_trouble(tmp_path: Path, run: str, closed: str) -> None:
+    path = tmp_path / "run.mcap"
+    command = f"{sys.executable} -m hil.cli run {run} --duration 0.5 --record {path} {closed}"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60, check=False)
+    assert "Traceback" not in done.stdout + done.stderr
+    assert done.returncode == 0
+    assert verify(Recording(path)).complete
+    assert path.with_suffix(".png").exists()
+
+
 def test_a_terminal_without_unicode_gets_what_it_can_show(tmp_path: Path) -> None:
     done = subprocess.run(
         [*HIL, "run", "--lockstep", "--duration", "1.5", "--record", str(tmp_path / "run.mcap")],
