@@ -6,9 +6,8 @@ import math
 import sys
 from typing import Any
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from firmware_sim.arm.arm import Arm
@@ -16,8 +15,9 @@ from firmware_sim.arm.parameters import AXES
 from hil.onlooker import Onlooker, messages
 
 BETWEEN_LOOKS_NS = 100_000_000
-TRACK_CELLS = 31
-PRESSURE_CELLS = 12
+LEAST_CELLS, MOST_CELLS = 72, 160
+NUMBERS_CELLS = 57
+"""Of a line with numbers, what the bars of pressure leave."""
 
 
 class ArmWatch:
@@ -42,6 +42,7 @@ class ArmWatch:
                 "time_s": view.time_ns * 1e-9,
                 "supply_pa": view.supply_pa,
                 "payload_kg": view.payload_kg,
+                "ailments": self._arm.ailments(),
                 "axes": [
                     {
                         "position": axis.position,
@@ -58,45 +59,59 @@ class ArmWatch:
 
 def main(file_descriptor: int) -> None:
     """Draw what is told until the teller ends."""
-    with Live(console=Console(stderr=True), auto_refresh=False) as live:
+    console = Console(stderr=True)
+    with Live(console=console, auto_refresh=False) as live:
         for view in messages(file_descriptor):
-            live.update(picture(view), refresh=True)
+            live.update(picture(view, console.width), refresh=True)
 
 
-def picture(view: dict[str, Any]) -> RenderableType:
-    """The arm as a table: where each axis stands on its track, its spool, its chambers' pressures."""
-    table = Table(box=None, pad_edge=False)
-    for heading in ("axis", "position", "", "velocity", "spool", "chamber 1", "chamber 2"):
-        table.add_column(heading, no_wrap=True)
-    supply_pa = view["supply_pa"]
+def picture(view: dict[str, Any], width: int) -> Text:
+    """The arm on lines of ``width`` cells at most, 80 are enough: a heading, and two lines for each axis.
+
+    The first has its numbers and its chambers' pressures, the second its place on the potentiometer's track.
+    """
+    width = min(max(width, LEAST_CELLS), MOST_CELLS) - 1  # the last column is the cursor's
+    supply_pa, cells = view["supply_pa"], (width - NUMBERS_CELLS) // 2
+    text = Text(no_wrap=True)
+    text.append(
+        f"{view['time_s']:.1f} s   supply {supply_pa / 1e5:.2f} bar   payload {view['payload_kg']:g} kg",
+        "bold",
+    )
+    text.append("   at rest, waiting for a gateway" if view["time_s"] == 0.0 else "")
+    text.append(
+        f"\n{'':11}{'position':12}{'velocity':14}{'spool':6}{'chamber 1, bar':{cells + 7}}chamber 2, bar",
+        "dim",
+    )
     for name, axis in zip(AXES, view["axes"], strict=True):
         unit = "rad" if name == "rotation" else "m"
+        text.append(f"\n{name:11}", "bold")
+        text.append(f"{axis['position']:+.4f} {unit}".ljust(12))
+        text.append(f"{axis['velocity']:+.3f} {unit}/s".ljust(14))
+        text.append(f"{round(100 * axis['spool']):+4d}% ")
+        for pressure_pa in axis["pressure_pa"]:
+            text.append_text(_bar(pressure_pa, supply_pa, cells))
         low, high = axis["ends"]
-        share = (axis["position"] - low) / (high - low)
-        table.add_row(
-            name,
-            _track(share),
-            f"{axis['position']:+.4f} {unit}",
-            f"{axis['velocity']:+.3f} {unit}/s",
-            f"{100 * axis['spool']:+4.0f} %",
-            *(_bar(pressure_pa, supply_pa) for pressure_pa in axis["pressure_pa"]),
-        )
-    state = f"{view['time_s']:8.1f} s   supply {supply_pa / 1e5:.2f} bar   payload {view['payload_kg']:g} kg"
-    return Group(Text(state, style="bold"), table)
+        ends = f"{low:+.3f} ", f" {high:+.3f}"
+        text.append(f"\n{'':11}{ends[0]}", "dim")
+        text.append_text(_track((axis["position"] - low) / (high - low), width - 11 - len("".join(ends))))
+        text.append(ends[1], "dim")
+    for ailment in view["ailments"]:
+        text.append(f"\n{ailment}", "yellow")
+    return text
 
 
-def _track(share: float) -> Text:
-    cell = min(max(math.floor(share * TRACK_CELLS), 0), TRACK_CELLS - 1)
+def _track(share: float, cells: int) -> Text:
+    cell = min(max(math.floor(share * cells), 0), cells - 1)
     text = Text("─" * cell, style="dim")
     text.append("█", style="cyan not dim")
-    return text.append("─" * (TRACK_CELLS - 1 - cell), style="dim")
+    return text.append("─" * (cells - 1 - cell), style="dim")
 
 
-def _bar(pressure_pa: float, full_pa: float) -> Text:
-    cells = min(max(round(PRESSURE_CELLS * pressure_pa / full_pa), 0), PRESSURE_CELLS)
-    text = Text("▮" * cells, style="green")
-    text.append("▯" * (PRESSURE_CELLS - cells), style="dim")
-    return text.append(f" {pressure_pa / 1e5:.2f} bar", style="default")
+def _bar(pressure_pa: float, full_pa: float, cells: int) -> Text:
+    filled = min(max(round(cells * pressure_pa / full_pa), 0), cells)
+    text = Text("▮" * filled, style="green")
+    text.append("▯" * (cells - filled), style="dim")
+    return text.append(f" {pressure_pa / 1e5:<6.2f}", style="default")
 
 
 if __name__ == "__main__":

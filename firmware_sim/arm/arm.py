@@ -165,6 +165,24 @@ class Arm:
         )
         return ArmView(self.time_ns, axes, state.supply_pa, self.conditions.payload_kg, state.supplied_kg)
 
+    def ailments(self) -> list[str]:
+        """What is not as the arm file has it, payload and supply apart, in words."""
+        air_c, file_c = self.conditions.air_k - kelvin(0.0), self.parameters.supply.temperature_c
+        told = [f"air {air_c:.0f} °C"] if abs(air_c - file_c) > 1e-6 else []
+        for name, axis, (potentiometer, _, _) in zip(
+            AXES, self.conditions.axis, self._potentiometers, strict=True
+        ):
+            if axis.spool_free == 0.0:
+                told.append(f"{name}: spool stuck")
+            if axis.friction_factor != 1.0:
+                told.append(f"{name}: friction x {axis.friction_factor:g}")
+            told += [
+                f"{name}: chamber {k} leaks" for k, leak in enumerate(axis.leak_m3_s_pa, 1) if leak > 0.0
+            ]
+            if potentiometer.broken:
+                told.append(f"{name}: wire broken")
+        return told
+
     def apply(self, change: AnyChange) -> None:
         """Have ``change`` happen now, whatever its ``at_s``."""
         match change:

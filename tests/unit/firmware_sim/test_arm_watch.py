@@ -6,8 +6,9 @@ import pytest
 from rich.console import Console
 
 from firmware_sim.arm.arm import Arm
+from firmware_sim.arm.event_text import parse_event
 from firmware_sim.arm.parameters import shipped_arm
-from firmware_sim.watch import BETWEEN_LOOKS_NS, TRACK_CELLS, ArmWatch, picture
+from firmware_sim.watch import BETWEEN_LOOKS_NS, ArmWatch, picture
 
 
 class Told:
@@ -32,7 +33,15 @@ def test_it_looks_ten_times_a_second(told: Told) -> None:
     assert len(told.views) == 1_000_000_000 // BETWEEN_LOOKS_NS
 
 
-def test_the_picture_follows_the_arm(told: Told) -> None:
+def drawn(view: dict[str, object], width: int) -> list[str]:
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        console.print(picture(view, width))
+    return [line.rstrip() for line in capture.get().splitlines()]
+
+
+@pytest.mark.parametrize("width", [80, 100, 200])
+def test_the_picture_follows_the_arm(told: Told, width: int) -> None:
     arm = Arm(shipped_arm(), seed=0)
     watch = ArmWatch(arm)
     watch.look(0)
@@ -40,16 +49,60 @@ def test_the_picture_follows_the_arm(told: Told) -> None:
     watch.look(1_000_000_000)
     marks = []
     for view in told.views:
-        console = Console(width=160, color_system=None)
-        with console.capture() as capture:
-            console.print(picture(view))
-        lines = capture.get().splitlines()
+        lines = drawn(view, width)
         assert "supply" in lines[0]
-        marks.append([line.index("█") - 12 for line in lines[2:]])
-        assert [line.split()[0] for line in lines[2:]] == ["vertical", "horizontal", "rotation"]
-        assert lines[2].count("bar") == 2
+        assert len(lines) == 8
+        assert [line.split()[0] for line in lines[2::2]] == ["vertical", "horizontal", "rotation"]
+        marks.append([line.index("█") for line in lines[3::2]])
     before, after = marks
-    assert all(abs(mark - TRACK_CELLS // 2) <= 1 for mark in before)
-    assert after[0] > before[0] + 3, "up"
+    assert after[0] > before[0] + 2, "up"
     assert after[1] == before[1], "still"
-    assert after[2] < before[2] - 3, "back"
+    assert after[2] < before[2] - 2, "back"
+    assert "waiting for a gateway" in drawn(told.views[0], width)[0]
+    assert "waiting" not in drawn(told.views[1], width)[0]
+
+
+def test_80_columns_hold_every_number(told: Told) -> None:
+    arm = Arm(shipped_arm(), seed=0)
+    watch = ArmWatch(arm)
+    arm.advance(40_000_000_000, [10.0, 0.0, 0.0])
+    watch.look(0)
+    (view,) = told.views
+    view["time_s"], view["payload_kg"], view["supply_pa"] = 86399.9, 12.125, 11e5
+    for axis in view["axes"]:  # type: ignore[attr-defined]
+        axis["position"], axis["velocity"], axis["spool"], axis["pressure_pa"] = (
+            -1.2345,
+            -12.345,
+            -1.0,
+            [1e6, 1e6],
+        )
+    lines = drawn(view, 80)
+    assert max(map(len, lines)) <= 79  # the last column is the cursor's
+    assert lines[0].startswith("86399.9 s   supply 11.00 bar   payload 12.125 kg")
+    for line, unit in zip(lines[2::2], ("m", "m", "rad"), strict=True):
+        words = line.split()
+        assert words[1:6] == ["-1.2345", unit, "-12.345", f"{unit}/s", "-100%"]
+        assert words[7] == words[9] == "10.00"
+    assert lines[7].split()[0] == "-1.650"
+    assert lines[7].split()[-1] == "+1.650"
+    wide = drawn(view, 132)
+    assert max(map(len, wide)) == 131
+
+
+def test_what_ails_the_arm_is_told(told: Told) -> None:
+    events = ["stuck-spool:vertical@0", "friction:rotation,2@0", "leak:horizontal,2,1e-8@0"]
+    events += ["broken-wire:rotation@0", "temperature:35@0", "payload:3@0"]
+    arm = Arm(shipped_arm(), seed=0, changes=map(parse_event, events))
+    watch = ArmWatch(arm)
+    watch.look(0)
+    arm.advance(1, [5.0, 5.0, 5.0])
+    watch.look(BETWEEN_LOOKS_NS)
+    healthy, ailing = (drawn(view, 200) for view in told.views)
+    assert len(healthy) == 8
+    assert ailing[8:] == [
+        "air 35 °C",
+        "vertical: spool stuck",
+        "horizontal: chamber 2 leaks",
+        "rotation: friction x 2",
+        "rotation: wire broken",
+    ]
