@@ -6,12 +6,16 @@ Processor time, best of several rounds. Lockstep: a period of 11.2 ms with all t
 three potentiometers read, the Python call included. Accuracy: positions against LSODA at a tolerance of 1e-9,
 in moves over 50 to 120 mm and into the end stops at full voltage. scipy runs in lockstep too, commands new
 every 10 ms, at the loosest tolerance at which it is as exact as the arm; its right-hand side is plain Python.
+Real time: ``firmware-sim`` as a process of its own, with boards and bus, under ``hil run``.
 """
 
 from __future__ import annotations
 
+import os
+import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -83,6 +87,32 @@ def follow(step_s: float, drives: list[tuple[float, Drive]]) -> tuple[float, Sta
     return time.process_time() - began, np.array(states)
 
 
+def share_of_a_core(seconds: int) -> float:
+    """Processor time of ``firmware-sim`` over the time of a run that it serves."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        bus = f"udp:{probe.getsockname()[1]}"
+    command = [sys.executable, "-m", "firmware_sim", "--bus", bus]
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as boards,
+        tempfile.TemporaryDirectory() as kept,
+    ):
+        assert boards.stdout is not None
+        while not boards.stdout.readline().startswith("join"):
+            pass
+
+        def spent_s() -> float:
+            fields = Path(f"/proc/{boards.pid}/stat").read_text().rpartition(")")[2].split()
+            return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+        began, before_s = time.monotonic(), spent_s()
+        run = [sys.executable, "-m", "hil.cli", "run", "--bus", bus, "--duration", str(seconds)]
+        subprocess.run([*run, "--record", f"{kept}/run.mcap"], check=True, capture_output=True)
+        share = (spent_s() - before_s) / min(time.monotonic() - began, seconds)
+        boards.terminate()
+    return share
+
+
 def error_mm(states: States, reference: States) -> float:
     """Largest, at the cylinders, of all three axes."""
     return float(1e3 * np.abs(states - reference)[:, [2, 11, 20]].max())
@@ -97,6 +127,8 @@ def main() -> None:
     began = time.perf_counter()
     subprocess.run([sys.executable, "-c", START], check=True)
     print(f"a fresh process until the arm stands: {time.perf_counter() - began:.2f} s")
+
+    print(f"in real time, as its own process: {100 * share_of_a_core(10):.1f} % of a core, with boards")
 
     shipped_step_s = shipped_arm().step_s
     start = state_of(Arm(arm_with(DIRECT), seed=1))

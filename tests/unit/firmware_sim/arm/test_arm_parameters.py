@@ -82,7 +82,7 @@ def test_stop_that_lets_the_piston_into_the_cover_is_refused() -> None:
 
 def test_stop_too_stiff_for_the_step_is_refused() -> None:
     message = refusal("axes.horizontal.stop.stiffness_n_m", "5e7")
-    assert "axes.horizontal.stop.stiffness_n_m: 50000000.0 N/m exceeds 1.224e+07 N/m" in message
+    assert "axes.horizontal.stop.stiffness_n_m: 50000000.0 N/m exceeds 1.913e+07 N/m" in message
 
 
 def test_reach_that_would_cross_the_axis_of_rotation_is_refused() -> None:
