@@ -117,6 +117,7 @@ def test_the_whole_chain_identifies_equation_15(tmp_path: Path) -> None:
     assert model.slow_rad_s == pytest.approx(0.4231, rel=0.15)
     assert model.mode_rad_s == pytest.approx(math.sqrt(167.9), rel=0.10)
     assert model.damping == pytest.approx(16.97 / 2 / math.sqrt(167.9), rel=0.15)
+    assert model.velocity_gain / model.slow_rad_s == pytest.approx(0.47947 * 90.76 / 167.9 / 0.4231, rel=0.11)
     assert model.fit_percent > 97.0
 
 
@@ -145,8 +146,49 @@ def test_the_same_run_twice_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_an_experiment_takes_an_arm_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     own = tmp_path / "arm.toml"
-    own.write_text((Path(firmware_sim.arm.__file__).parent / "arm.toml").read_text())
+    own.write_text((Path(firmware_sim.arm.__file__).parent / "arm.toml").read_text() + "# mine\n")
     arguments = ["run", "--lockstep", "--duration", "1", "--scenario", "fig14", "--record", str(path)]
     assert main([*arguments, "--arm", str(own)]) == 0
-    assert {"arm.toml", "scenario.toml"} <= Recording(path).attachments.keys()
+    assert Recording(path).attachments["arm.toml"].endswith(b"# mine\n")
     assert main([*arguments, "--linear"]) == 2
+
+
+def test_a_run_is_repeated_from_what_its_recording_holds(tmp_path: Path) -> None:
+    events = ["--event", "payload:2@0.5", "--event", "stuck-spool:rotation@1"]
+    given = ["--scenario", "fig14", "--duration", "2", "--seed", "3", *events]
+    first = run(tmp_path / "first.mcap", *given)
+    for name in ("arm.toml", "scenario.toml"):
+        (tmp_path / name).write_bytes(first.attachments[name])
+    plant = first.metadata["plant"]
+    assert plant == json.loads(first.attachments["plant.json"])
+    told = [argument for event in plant["events"].split() for argument in ("--event", event)]
+    files = ["--scenario", str(tmp_path / "scenario.toml"), "--arm", str(tmp_path / "arm.toml")]
+    again = run(tmp_path / "again.mcap", *files, *told, "--seed", plant["seed"], "--duration", "2")
+    assert np.array_equal(first.axis("vertical"), again.axis("vertical"))
+    assert first.metadata["run"] == again.metadata["run"]
+    other = run(tmp_path / "other.mcap", *files, *told, "--seed", "4", "--duration", "2")
+    assert first.metadata["run"]["configuration sha256"] != other.metadata["run"]["configuration sha256"]
+
+
+def test_an_event_reaches_the_boards_in_a_process_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "wire.mcap"
+    arguments = ["run", "--record", str(path), "--duration", "20", "--event", "broken-wire:rotation@1"]
+    assert main(arguments) == 1
+    assert "rotation: potentiometer 0.000 V outside 0.1 to 9.9 V" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--event", "payload:300@2"], "--event 'payload:300@2': mass_kg: 300: expected `float` <= 100.0"),
+        (["--linear", "--event", "payload:3@2"], "--event is for the pneumatic arm"),
+        (["--bus", "inproc:x", "--event", "payload:3@2"], "--bus inproc:x is no simulation"),
+    ],
+)
+def test_an_event_that_cannot_be_is_refused(
+    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", *arguments]) == 2
+    assert complaint in capsys.readouterr().err
