@@ -6,6 +6,7 @@ paper's experiments, ``fig13``, ``fig14`` and ``fig15``.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,15 @@ class Scenario(Document, frozen=True):
     figure_axes: list[str] = msgspec.field(default_factory=list)
     """The axes that the figure shows; all of them when empty."""
     events: list[AnyChange] = msgspec.field(default_factory=list)
+
+
+def check_axes(scenario: Scenario, axes: Iterable[str], source: str) -> None:
+    """Refuse a scenario for axes that the rig, which has ``axes``, has not. Raises DocumentError."""
+    known = list(axes)
+    for key in ("setpoints", "controllers", "figure_axes"):
+        for name in getattr(scenario, key):
+            if name not in known:
+                raise DocumentError(f"{source}: {key}: {name!r}: the rig has only {', '.join(known)}")
 
 
 def find_scenario(name: str) -> Path:

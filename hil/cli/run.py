@@ -95,6 +95,9 @@ def _setup(options: argparse.Namespace, scenario: Scenario | None, scenario_text
     controllers, setpoints = _by_axis(options.controller), _by_axis(options.setpoint)
     texts = {}
     if scenario is not None:
+        from firmware_sim.scenario import check_axes
+
+        check_axes(scenario, load_setup(options.rig, {}, {}).rig.axes, f"scenario {options.scenario}")
         controllers, setpoints = scenario.controllers | controllers, scenario.setpoints | setpoints
         texts["scenario.toml"] = scenario_text
     if options.linear:

@@ -192,3 +192,16 @@ def test_an_event_that_cannot_be_is_refused(
 ) -> None:
     assert main(["run", *arguments]) == 2
     assert complaint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "table", ['figure_axes = ["elbow"]', '[setpoints]\nelbow = "step:0@0"', '[controllers]\nelbow = "ppid"']
+)
+def test_a_scenario_for_an_axis_that_the_rig_has_not_is_refused(
+    table: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(f'title = "elbow"\nduration_s = 1.0\n{table}\n')
+    assert main(["run", "--lockstep", "--scenario", str(path)]) == 2
+    complaint = f"{path}: {table.strip('[').split()[0].strip('[]')}: 'elbow': the rig has only vertical, "
+    assert complaint in capsys.readouterr().err
