@@ -52,6 +52,24 @@ def test_full_voltage_drives_every_axis_into_its_stops_and_no_further() -> None:
         assert all(0.1 < reading < 9.9 for reading in arm.potentiometer_v())
 
 
+def test_a_spool_ends_at_full_travel_however_little_it_is_damped() -> None:
+    arm = Arm(arm_with({"axes.*.valve.spool_damping": 0.05}), seed=1)
+    for volts in (0.0, 10.0) * 3:
+        for _ in range(20):
+            arm.advance(1_000_000, (volts,) * 3)
+            assert max(abs(axis.spool) for axis in arm.view().axes) <= 1.0
+
+
+@pytest.mark.parametrize("volume_m3", [1e-5, 2e-3])
+def test_a_stiff_regulator_holds_its_pressure_whatever_it_feeds(volume_m3: float) -> None:
+    stiff = {"supply.volume_m3": volume_m3, "supply.droop_kpa_s_kg": 1.0, "supply.max_flow_kg_s": 10.0}
+    arm = Arm(arm_with(stiff | {"supply.max_relief_kg_s": 10.0}), seed=1)
+    for volts in ((10.0, 10.0, 10.0), (0.0, 0.0, 0.0), (5.0, 5.0, 5.0)):
+        for _ in range(20):
+            arm.advance(10_000_000, volts)
+            assert arm.view().supply_pa == pytest.approx(550e3, abs=100.0)
+
+
 def test_readings_have_the_files_noise_and_line() -> None:
     noise_v = 0.004
     noisy = Arm(

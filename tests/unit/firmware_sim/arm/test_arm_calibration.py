@@ -34,7 +34,7 @@ def at_rest(_time_s: float) -> float:
 @pytest.mark.parametrize("amplitude_v", [0.2, 0.4])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_vertical_axis_identifies_as_equation_15(seed: int, amplitude_v: float) -> None:
-    """Static gain: 10 % under eq. (15) of which the controller, made for it, would overshoot 1.2 %."""
+    """The static gain is a tenth under: on eq. (15) itself the controller overshoots by 1.2 %."""
     model = identify(*excite(shipped_arm(), VERTICAL, amplitude_v, seed=seed), stops=0.14)
     velocity_gain = 0.47947 * 90.76 / 167.9
     assert model.velocity_gain == pytest.approx(velocity_gain, rel=0.05)
