@@ -10,7 +10,7 @@ from design import margins
 from design import polynomials as poly
 from design.loop_shaping import shaped
 from design.plant import Sampling, TransferFunction
-from design.polynomials import Array, Flags
+from design.polynomials import Array, Flags, Indices
 from design.realisation import StateSpace
 from design.responses import StepResponses, closed_loop, step_responses
 from design.step_course import follow, modes
@@ -42,6 +42,19 @@ class Loops:
         self.open = shaped(G, self.K.feedback)
         self.desired = self.open if desired is None else desired
         self.desired_name = "GK" if desired is None else "Gs"
+
+    def some(self, chosen: Indices) -> Loops:
+        """Those of the batch."""
+
+        def of(p: Array) -> Array:
+            return p if len(p) == 1 else p[chosen]
+
+        def pair(H: TransferFunction) -> TransferFunction:
+            return TransferFunction(*(of(np.atleast_2d(p)) for p in H))
+
+        K, W = Controller(*(of(p) for p in self.K)), pair(self.W)
+        desired = None if self.desired is self.open else pair(self.desired)
+        return Loops(self.G, K, W=W, sampling=self.sampling, desired=desired)
 
     @cached_property
     def closed(self) -> Array:

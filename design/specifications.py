@@ -32,6 +32,8 @@ class Quantity:
     """Values (B,) of loops, given the specification's ``at``."""
     takes: str | None = None
     """What ``at`` is, with its unit; None if it has none."""
+    is_followed: bool = False
+    """Whether a step response has to be followed for it, which takes its time."""
 
     @property
     def is_of_desired(self) -> bool:
@@ -45,14 +47,18 @@ QUANTITIES = {
         True,
         "largest y of the closed loop's unit step over its final value, less 1",
         lambda q, _: q.overshoot,
+        is_followed=True,
     ),
     "settling_s": Quantity(
         "s",
         True,
         "time from which the closed loop's step stays within 2 % of its final value",
         lambda q, _: q.settling_s,
+        is_followed=True,
     ),
-    "rise_s": Quantity("s", True, "10 to 90 % of the closed loop's step", lambda q, _: q.rise_s),
+    "rise_s": Quantity(
+        "s", True, "10 to 90 % of the closed loop's step", lambda q, _: q.rise_s, is_followed=True
+    ),
     "error": Quantity(
         "", True, "|1 - y| of the closed loop's unit step as t goes to infinity", lambda q, _: q.error
     ),
@@ -93,6 +99,7 @@ QUANTITIES = {
         "largest |u| after a setpoint step of {at}",
         lambda q, at: at * q.effort,
         takes="the size of the step, in the axis' unit",
+        is_followed=True,
     ),
     "disturbance_peak": Quantity(
         "", True, "‖G/(1 + GK)‖∞, output unit per V", lambda q, _: margins.disturbance_peak(q.G, q.K.feedback)
@@ -130,7 +137,7 @@ class Specification:
         size = max(abs(self.limit), 1e-12)
         excess = (value - self.limit) / size
         excess = excess if self.kind.limit_is_largest else -excess
-        return np.clip(np.nan_to_num(excess, nan=_WORST, posinf=_WORST, neginf=0.0), 0.0, _WORST)
+        return np.clip(np.where(np.isnan(excess), _WORST, excess), 0.0, _WORST)
 
 
 @dataclass(frozen=True)
@@ -156,12 +163,27 @@ class Reading:
         return f"{value} {self.unit}".rstrip()
 
 
-def violations(specifications: Sequence[Specification], loops: Loops) -> Array:
-    """Summed violations (B,); over 1000 where a loop is unstable, 0 where everything holds."""
-    total = np.zeros(len(loops.stable))
+def violations(specifications: Sequence[Specification], loops: Loops, enough: Array | None = None) -> Array:
+    """Summed violations (B,); over 1000 where a loop is unstable, 0 where everything holds.
+
+    Where they are over ``enough`` (B,), some value over it is returned, and sooner.
+    """
+    total = np.where(loops.stable, 0.0, UNSTABLE)
     for specification in specifications:
-        total = total + specification.violation(specification.read(loops))
-    return np.where(loops.stable, total, total + UNSTABLE)
+        if not specification.kind.is_followed:
+            total += specification.violation(specification.read(loops))
+    followed = [specification for specification in specifications if specification.kind.is_followed]
+    chosen = np.flatnonzero(total <= (np.inf if enough is None else enough))
+    if followed and len(chosen):
+        some = loops if len(chosen) == len(total) else loops.some(chosen)
+        for specification in followed:
+            total[chosen] += specification.violation(specification.read(some))
+    return total
+
+
+def enough_violation(worth: Array, fitness: Array) -> Array:
+    """For :func:`violations` (B,): ``fitness`` counts if all holds, and what is below ``worth`` is lost."""
+    return np.where(worth > 0.0, np.where(fitness >= worth, 0.0, -1.0), -worth)
 
 
 def readings(specifications: Sequence[Specification], loops: Loops) -> tuple[Reading, ...]:

@@ -122,8 +122,8 @@ class _Follower:
         step_s = self._step_s[live] * 2.0**block
         start_s = count * step_s if block else np.zeros(len(live))
         now = self._shown.later(live, start_s)
-        wanted = np.nan_to_num(np.log2(step_s / now.longest_step_s), nan=0.0, neginf=0.0)
-        finer = np.ceil(np.clip(wanted, 0.0, block)).astype(int)
+        wanted = np.ceil(np.log2(step_s / now.longest_step_s))
+        finer = np.where(wanted > 0.0, np.minimum(wanted, block), 0.0).astype(int)
         too_fast = finer > _MOST_FINER
         if too_fast.any():
             unseen = now.speed * step_s[:, None] / 2.0**_MOST_FINER > _TURN

@@ -175,10 +175,12 @@ def _turning_share(piece: _Piece) -> Array:
 
 
 def _crossing(piece: _Piece, size: Callable[[Array], Array], limit: float) -> Array:
-    """When (B,), in s, ``size`` falls to the limit in the piece's part, by bisection."""
-    low, high = piece.begin.copy(), piece.end.copy()
-    for _ in range(30):
+    """When (B,), in s, ``size`` falls to the limit in the piece's part, by bisection and a last line."""
+    low, high = piece.begin, piece.end
+    for _ in range(9):
         middle = 0.5 * (low + high)
         inside = size(piece.at(middle)) <= limit
         low, high = np.where(inside, low, middle), np.where(inside, middle, high)
-    return np.asarray(piece.time_s + piece.step_s * high)
+    over, under = size(piece.at(low)) - limit, limit - size(piece.at(high))
+    share = np.clip(np.where(over > 0.0, over / (over + under), 0.0), 0.0, 1.0)
+    return np.asarray(piece.time_s + piece.step_s * (low + share * (high - low)))

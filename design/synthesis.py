@@ -32,6 +32,7 @@ from design.specifications import (
     Reading,
     Specification,
     compromise,
+    enough_violation,
     readings,
     violations,
 )
@@ -110,7 +111,7 @@ def synthesise(
                 closed = np.atleast_2d(margins.characteristic(G, K.feedback))[unstable]
                 margin[unstable] = -1e4 - np.minimum(poly.spectral_abscissa(closed), 1e8)
             if specifications:
-                failing = violations(specifications, loops(G, points))
+                failing = violations(specifications, loops(G, points), enough_violation(worth, margin))
                 margin = np.where(unstable | (failing <= 0.0), margin, -failing)
             fitness = np.minimum(fitness, margin)
         return fitness

@@ -29,6 +29,7 @@ from design.specifications import (
     Reading,
     Specification,
     compromise,
+    enough_violation,
     readings,
     violations,
     wanted_crossover,
@@ -87,12 +88,12 @@ def select_weight(
         batch = Loops(G, of_error(num, den), W=W, sampling=sampling, desired=Gs)
         return batch, eps_opt
 
-    def objective(points: Array, _worth: Array) -> Array:
+    def objective(points: Array, worth: Array) -> Array:
         W = structure.controller(box.decode(points)).feedback
         fitness = np.full(len(points), np.inf)
         for G in models:
             batch, eps_opt = loops(G, W)
-            failing = violations(specifications, batch)
+            failing = violations(specifications, batch, enough_violation(worth, eps_opt))
             fitness = np.minimum(fitness, np.where(failing > 0.0, -failing, eps_opt))
         return fitness
 

@@ -2,9 +2,9 @@
 
     python tests/benchmarks/bench_design.py
 
-Processor time of one process, least of several rounds. The peers: the same two searches written with
-python-control and slycot (a few dozen candidates timed, and scaled to the paper's 2000 + 6000), and pymoo's
-and pygad's optimisers on our own batched objective.
+Processor time of one process, least of several rounds. The peers: the same two objectives written with
+python-control and slycot, twice (a few dozen candidates timed, checked to give our values, and scaled to the
+paper's 2000 + 6000), and pymoo's and pygad's optimisers on our own batched objective.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ import contextlib
 import io
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -30,20 +32,24 @@ from pymoo.algorithms.soo.nonconvex.ga import GA
 from pymoo.core.problem import Problem
 from pymoo.optimize import minimize
 from support.paper_loop import G0, W1
-from support.random_systems import System, margin_at, slycot_margin, systems
+from support.random_systems import System, margin_at, slycot_margins, systems
 
+from design import margins
 from design import polynomials as poly
 from design.boxes import Box
-from design.central_controller import optimal_margins
+from design.central_controller import central_controllers, optimal_margins
 from design.loop_shaping import shaped
+from design.loops import Loops
 from design.margins import characteristic, margin_and_frequency, stability_margin
 from design.plant import paper_plant
-from design.structures import STRUCTURES, IntegralWeight
+from design.structures import STRUCTURES, IntegralWeight, of_error
 from design.synthesis import synthesise
 from design.weight_selection import select_weight
 
 WEIGHTS, CONTROLLERS = 2000, 6000
 SEEDS = 40
+LEAST_RATIO = 20
+"""To python-control and slycot in state space."""
 PLANT, PID = paper_plant(), STRUCTURES["pid"]
 BOX = Box(PID.parameters)
 
@@ -64,58 +70,99 @@ def our_budget() -> tuple[float, float]:
     return weights, seconds_of(lambda: synthesise(PLANT, W1, PID, evaluations=CONTROLLERS), rounds=5)
 
 
-def with_python_control(weights: int, controllers: int) -> tuple[float, float]:
-    """Seconds for so many candidates of each search as a user of python-control and slycot writes it."""
-    random = np.random.default_rng(1)
-    G = control.tf(G0.num, G0.den)
+class WithPythonControl:
+    """The two objectives as one who knows python-control and slycot well writes them: in state space.
 
-    def weight_candidate(kw: float, a: float) -> float:
-        W = control.tf([kw, kw * a], [1.0, 0.001])
-        Gs = control.ss(W * G)
-        K_inf = loop_shaping_by_care(Gs)
-        closed = control.feedback(control.ss(G) * control.ss(W) * K_inf, 1)
-        _, y = control.step_response(closed, np.linspace(0.0, 6.0, 512))
-        settled = np.flatnonzero(np.abs(y / y[-1] - 1.0) > 0.02).max(initial=0)
-        _, _, _, crossover = control.margin(Gs)
-        gain = np.abs(Gs(1j * np.linspace(0.01, 0.4, 20))).min()
-        return float(y.max() + settled + closed.dcgain() + crossover + gain)
+    What does not change is made once, nothing is realised twice (a copy of an integrator in T_zw would have
+    infinite gain), and norms and Riccati equations are slycot's.
+    """
 
-    def controller_candidate(kp: float, ki: float, kd: float, tau_d: float) -> float:
-        K = control.tf([kp], [1.0]) + control.tf([ki], [1.0, 0.0]) + control.tf([kd, 0.0], [tau_d, 1.0])
-        W = control.tf(W1.num, W1.den)
-        if control.poles(control.feedback(G * K, 1)).real.max() >= 0.0:
-            return 0.01
-        Gs, K_inf = control.ss(G * W), control.ss(K / W)
-        one = control.ss([], [], [], [[1.0]])
-        S = control.feedback(one, Gs * K_inf)
-        T_zw = control.append(one, K_inf) * control.ss(*_stack(S)) * control.ss(*_side_by_side(one, Gs))
+    def __init__(self) -> None:
+        self.G = control.ss(control.tf(G0.num, G0.den))
+        self.W_inverse = control.ss(control.tf(W1.den, W1.num))
+        Gs = self.G * control.ss(control.tf(W1.num, W1.den))
+        n = Gs.nstates
+        # From (w1, w2, u) to (y, u, y) with y = Gs (u + w2) + w1: eq. (13) as a lower fraction of -K/W1.
+        self.P = control.ss(
+            Gs.A,
+            np.hstack([np.zeros((n, 1)), Gs.B, Gs.B]),
+            np.vstack([Gs.C, np.zeros((1, n)), Gs.C]),
+            [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
+        )
+        self.time_s = np.linspace(0.0, 6.0, 512)
+        self.low_s = 1j * np.linspace(0.01, 0.4, 20)
+
+    def controller(self, kp: float, ki: float, kd: float, tau_d: float) -> float:
+        """ε of eq. (13)."""
+        A, C = [[0.0, 0.0], [0.0, -1.0 / tau_d]], [[ki, -kd / tau_d**2]]
+        K = control.ss(A, [[1.0], [1.0]], C, [[kp + kd / tau_d]])
+        T_zw = self.P.lft(-(self.W_inverse * K))
+        if T_zw.poles().real.max() >= 0.0:
+            return 0.0
         return float(1.0 / control.linfnorm(T_zw)[0])
 
-    drawn_weights = 10.0 ** random.uniform(-2.0, np.log10(50.0), (weights, 2))
-    drawn_controllers = 10.0 ** random.uniform(-2.0, 2.0, (controllers, 4))
-    spent_on_weights = seconds_of(lambda: [weight_candidate(*row) for row in drawn_weights])
-    return spent_on_weights, seconds_of(lambda: [controller_candidate(*row) for row in drawn_controllers])
+    def weight(self, kw: float, a: float) -> tuple[float, float, float, float, float]:
+        """ε_opt of Appendix A; overshoot, settling time, crossover and least gain of eq. (9)."""
+        W = control.ss([[-0.001]], [[1.0]], [[kw * (a - 0.001)]], [[kw]])
+        Gs = self.G * W
+        X = control.care(Gs.A, Gs.B, Gs.C.T @ Gs.C)[0]
+        Z = control.care(Gs.A.T, Gs.C.T, Gs.B @ Gs.B.T)[0]
+        gamma_squared = 1.0 + np.linalg.eigvals(X @ Z).real.max()
+        eps_opt = 1.0 / np.sqrt(gamma_squared)
+        gamma_squared *= 1.1**2
+        L = (1.0 - gamma_squared) * np.eye(len(X)) + X @ Z
+        gain = gamma_squared * np.linalg.solve(L.T, Z @ Gs.C.T)
+        K_inf = control.ss(Gs.A - Gs.B @ Gs.B.T @ X + gain @ Gs.C, gain, -Gs.B.T @ X, 0.0)
+        closed = control.feedback(self.G * (W * K_inf), 1)
+        y = control.step_response(closed, self.time_s).outputs / closed.dcgain()
+        settled = self.time_s[np.flatnonzero(np.abs(y - 1.0) > 0.02)[-1]]
+        return eps_opt, y.max() - 1.0, settled, control.margin(Gs)[3], np.abs(Gs(self.low_s)).min()
 
 
-def loop_shaping_by_care(Gs: control.StateSpace) -> control.StateSpace:
-    """K∞ of eq. (6) for negative feedback, γ = 1.1 γ_opt; strictly proper Gs."""
-    X = control.care(Gs.A, Gs.B, Gs.C.T @ Gs.C)[0]
-    Z = control.care(Gs.A.T, Gs.C.T, Gs.B @ Gs.B.T)[0]
-    gamma = 1.1 * np.sqrt(1.0 + np.linalg.eigvals(X @ Z).real.max())
-    L = (1.0 - gamma**2) * np.eye(len(X)) + X @ Z
-    gain = gamma**2 * np.linalg.solve(L.T, Z @ Gs.C.T)
-    A = Gs.A - Gs.B @ Gs.B.T @ X + gain @ Gs.C
-    return control.ss(A, gain, -Gs.B.T @ X, 0.0)
+def as_transfer_functions(kp: float, ki: float, kd: float, tau_d: float) -> float:
+    """ε as one writes it who has the formula of eq. (13) beside him: transfer functions, cancelled."""
+    G, W = control.tf(G0.num, G0.den), control.tf(W1.num, W1.den)
+    K = control.tf([kp], [1.0]) + control.tf([ki], [1.0, 0.0]) + control.tf([kd, 0.0], [tau_d, 1.0])
+    cancelled = partial(control.minreal, verbose=False)
+    S = cancelled(control.feedback(1, G * K))
+    if S.poles().real.max() >= 0.0:
+        return 0.0
+    T_zw = [[S, cancelled(S * G * W)], [cancelled(K / W * S), cancelled(K * G * S)]]
+    return float(1.0 / control.linfnorm(control.ss(control.combine_tf(T_zw)))[0])
 
 
-def _stack(S: control.StateSpace) -> tuple[np.ndarray, ...]:
-    """[S; S]."""
-    return S.A, S.B, np.vstack([S.C, S.C]), np.vstack([S.D, S.D])
-
-
-def _side_by_side(one: control.StateSpace, Gs: control.StateSpace) -> tuple[np.ndarray, ...]:
-    """[1 Gs]."""
-    return Gs.A, np.hstack([np.zeros_like(Gs.B), Gs.B]), Gs.C, np.hstack([one.D, Gs.D])
+def with_python_control(weights: int, controllers: int) -> tuple[float, float, float]:
+    """Seconds a weight, a controller, and a controller as transfer functions; all checked to be ours."""
+    random, peer = np.random.default_rng(1), WithPythonControl()
+    weight = IntegralWeight()
+    drawn_weights = Box(weight.parameters).decode(random.random((weights, 2)))
+    drawn = BOX.decode(random.random((controllers, 4)))
+    peer.weight(*drawn_weights[0])
+    as_transfer_functions(*drawn[0])
+    found: dict[str, list[object]] = {"weight": [], "controller": [], "transfer functions": []}
+    spent = (
+        seconds_of(lambda: found["weight"].extend(peer.weight(*row) for row in drawn_weights)),
+        seconds_of(lambda: found["controller"].extend(peer.controller(*row) for row in drawn)),
+        seconds_of(lambda: found["transfer functions"].extend(as_transfer_functions(*row) for row in drawn)),
+    )
+    eps = stability_margin(G0, PID.controller(drawn).feedback, W1)
+    np.testing.assert_allclose(found["controller"], eps, rtol=1e-8)
+    np.testing.assert_allclose(found["transfer functions"], eps, rtol=1e-5)
+    eps_opt, overshoot, settling_s, crossover, _ = np.array(found["weight"]).T
+    W = weight.controller(drawn_weights).feedback
+    Gs = shaped(G0, W)
+    K_inf, ours = central_controllers(Gs)
+    np.testing.assert_allclose(eps_opt, ours, rtol=1e-8)
+    K = of_error(poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den))
+    loops = Loops(G0, K, W=W, desired=Gs)
+    falls = np.isfinite(crossover)
+    np.testing.assert_allclose(crossover[falls], margins.crossover(Gs)[falls], rtol=1e-6)
+    # What has not come to rest in its 6 s python-control's user does not see.
+    rests = (loops.settling_s < 3.0) & (np.abs(loops.overshoot - overshoot) < 0.5)
+    assert rests.sum() > weights / 4
+    np.testing.assert_allclose(settling_s[rests], loops.settling_s[rests], atol=0.02)
+    np.testing.assert_allclose(np.maximum(overshoot[rests], 0.0), loops.overshoot[rests], atol=0.01)
+    return spent[0] / weights, spent[1] / controllers, spent[2] / controllers
 
 
 def our_objective(points: np.ndarray) -> np.ndarray:
@@ -159,10 +206,21 @@ OPTIMISERS: dict[str, Callable[[int], float]] = {
 }
 
 
-def exactness(examples: int) -> tuple[int, float, float]:
-    """Stable random loops; the farthest that ε is from a value the loop takes, and from slycot's."""
+class Exactness(NamedTuple):
+    """Over stable random loops: the farthest that ε is from a value the loop takes, and from slycot's."""
+
+    loops: int
+    attained: float
+    agreed: float
+    """From the nearest of ab13dd's four runs, where it finds the highest peak."""
+    missed_by_slycot: int
+    """Loops where all four stop at a lower peak than ours, which is attained."""
+
+
+def exactness(examples: int) -> Exactness:
     attained: list[float] = []
     agreed: list[float] = []
+    lower: list[float] = []
 
     @seed(1)
     @settings(max_examples=examples, database=None, deadline=None, suppress_health_check=list(HealthCheck))
@@ -174,10 +232,12 @@ def exactness(examples: int) -> tuple[int, float, float]:
         margin, omega = (value[0] for value in margin_and_frequency(G.polynomials, K.polynomials))
         if margin > 0.0:
             attained.append(abs(margin / margin_at(G, K, omega) - 1.0))
-            agreed.append(abs(margin / slycot_margin(G, K) - 1.0))
+            off = np.array(slycot_margins(G, K)) / margin - 1.0
+            nearest = off[np.abs(off).argmin()]
+            (lower if nearest > 1e-6 else agreed).append(abs(nearest))
 
     compare()
-    return len(attained), max(attained), max(agreed)
+    return Exactness(len(attained), max(attained), max(agreed), len(lower))
 
 
 def main() -> None:
@@ -189,15 +249,17 @@ def main() -> None:
     print(f"  a candidate: {1e6 * weight_s / WEIGHTS:.0f} and {1e6 * controller_s / CONTROLLERS:.1f} us")
     missed += ["budget"] if ours > 0.5 else []
 
-    weights, controllers = 24, 48
-    with_python_control(2, 2)
-    peer_weight_s, peer_controller_s = with_python_control(weights, controllers)
-    peer = peer_weight_s / weights * WEIGHTS + peer_controller_s / controllers * CONTROLLERS
-    print(f"python-control and slycot, scaled from {weights} and {controllers} candidates: {peer:.0f} s")
-    each = peer_weight_s / weights, peer_controller_s / controllers
-    print(f"  a candidate: {1e6 * each[0]:.0f} and {1e6 * each[1]:.0f} us")
-    print(f"  ours is {peer / ours:.0f} times faster (to reach: 200)")
-    missed += ["python-control"] if peer < 200.0 * ours else []
+    weight_each, controller_each, formula_each = with_python_control(weights=48, controllers=96)
+    peer = WEIGHTS * weight_each + CONTROLLERS * controller_each
+    naive = WEIGHTS * weight_each + CONTROLLERS * formula_each
+    print("python-control with slycot, the same margins on the same candidates:")
+    print(
+        f"  in state space {1e6 * weight_each:.0f} us a weight, {1e6 * controller_each:.0f} us a controller: "
+    )
+    print(f"    {peer:.1f} s in all; ours is {peer / ours:.0f} times faster (at least {LEAST_RATIO})")
+    print(f"  as transfer functions {1e6 * formula_each:.0f} us a controller: {naive:.1f} s in all,")
+    print(f"    ours is {naive / ours:.0f} times faster")
+    missed += ["python-control"] if peer < LEAST_RATIO * ours else []
 
     in_one_batch()
 
@@ -214,15 +276,24 @@ def main() -> None:
     print(f"          (8) {min(eps_opt):.6f} at worst (to reach: 0.6035 of 0.60358)")
     missed += ["seeds"] if min(eps) < 0.5861 or min(eps_opt) < 0.6035 else []
 
-    loops, attained, agreed = exactness(500)
-    print(f"{loops} random stable loops: eps within {attained:.0e} of a value that the loop takes,")
-    print(f"  and within {agreed:.0e} of slycot's (to reach: 1e-8)")
-    missed += ["exactness"] if max(attained, agreed) > 1e-8 else []
+    exact = exactness(500)
+    print(
+        f"{exact.loops} random stable loops: eps within {exact.attained:.0e} of a value that the loop takes,"
+    )
+    print(f"  and within {exact.agreed:.0e} of slycot's (to reach: 1e-8)")
+    print(f"  but for {exact.missed_by_slycot} where ab13dd stops at a peak lower than that value")
+    missed += ["exactness"] if max(exact.attained, exact.agreed) > 1e-8 else []
+    missed += ["slycot"] if exact.missed_by_slycot > 0.05 * exact.loops else []
 
-    command = [sys.executable, "-c", "import design.synthesis, design.weight_selection"]
-    began = time.perf_counter()
-    subprocess.run(command, check=True)
-    print(f"a fresh interpreter with the design imported: {time.perf_counter() - began:.2f} s")
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", "import sys; from hil.cli import main; sys.exit(main())"]
+        spent = []
+        for _ in range(3):
+            began = time.perf_counter()
+            subprocess.run([*command, "design", "--out", folder], check=True, capture_output=True)
+            spent.append(time.perf_counter() - began)
+    print(f"hil design, from the command line to the report: {min(spent):.2f} s (to reach: 3 s)")
+    missed += ["hil design"] if min(spent) > 3.0 else []
     if missed:
         sys.exit(f"missed: {', '.join(missed)}")
 
@@ -231,12 +302,12 @@ def in_one_batch() -> None:
     """What a candidate costs where a batch is large."""
     random = np.random.default_rng(1)
     values = BOX.decode(random.random((CONTROLLERS, 4)))
-    margins = seconds_of(lambda: stability_margin(G0, PID.controller(values).feedback, W1), rounds=3)
+    exact = seconds_of(lambda: stability_margin(G0, PID.controller(values).feedback, W1), rounds=3)
     weight = IntegralWeight()
     W = weight.controller(Box(weight.parameters).decode(random.random((WEIGHTS, 2)))).feedback
     optima = seconds_of(lambda: optimal_margins(shaped(G0, W)), rounds=3)
     print("in one large batch, a candidate:")
-    print(f"  eps {1e6 * margins / CONTROLLERS:.1f} us, eps_opt {1e6 * optima / WEIGHTS:.1f} us")
+    print(f"  eps {1e6 * exact / CONTROLLERS:.1f} us, eps_opt {1e6 * optima / WEIGHTS:.1f} us")
 
 
 def _append(found: list[float], search: Callable[[int], float], run: int) -> None:
