@@ -31,7 +31,7 @@ responses, loops       batched step responses (``matrix_exponential``); all that
 step_course            a step followed until it is at rest, however slow; ``step_readings`` what it reads
 specifications         eqs. (8), (9): limits on readings, each with its name and its violation
 search                 ask, tell, stop, and recorded convergence; ``differential_evolution`` (the
-                       default) and ``genetic_algorithm`` (the paper's) are searchers
+                       default), ``genetic_algorithm`` (the paper's) and ``random_search`` are searchers
 weight_selection       eqs. (8), (9)
 synthesis              eqs. (13), (14), over one plant or the worst of several
 =====================  ==============================================================================

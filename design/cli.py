@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
     from design.design_file import DesignFile
     from design.measured import ModelFit
-    from design.paper_claims import Verdict
     from design.plant import Plant
     from design.procedure import Design, OnProgress
     from design.search import Progress
+    from design.verdicts import Verdict
 
 DESIGN_NAME = "design.toml"
 STRUCTURE_NAMES = "p, pi, pd, pid, pid-2dof, lead-lag, pi-lead"

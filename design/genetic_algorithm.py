@@ -36,6 +36,7 @@ class GeneticAlgorithm:
         self._crossover, self._mutation = crossover, mutation
         self._weights = 2.0 ** np.arange(bits - 1, -1, -1) / (2.0**bits - 1.0)
         self._shape = (dimensions, bits)
+        self._has_found = False
         self._genes = self._random.random((population, dimensions * bits)) < 0.5
 
     def ask(self) -> Array:
@@ -43,13 +44,14 @@ class GeneticAlgorithm:
         return np.asarray(self._genes.reshape(-1, *self._shape) @ self._weights)
 
     def worth(self) -> Array:
-        """See Searcher: the wheel turns on every fitness."""
-        return np.full(len(self._genes), -np.inf)
+        """See Searcher: the wheel turns on every fitness, but what fails counts alike."""
+        return np.full(len(self._genes), np.finfo(float).tiny if self._has_found else -np.inf)
 
     def tell(self, fitness: Array) -> None:
         """See Searcher."""
         self._generations_left -= 1
         n, length = self._genes.shape
+        self._has_found |= bool((fitness > 0.0).any())
         judged = np.where(fitness > 0.0, fitness, _FAILING)
         best = self._genes[int(np.argmax(judged))]
         parents = self._genes[self._random.choice(n, size=n + n % 2, p=judged / judged.sum())]

@@ -26,7 +26,7 @@ from design.specifications import Specification
 from hil.documents import to_json
 
 if TYPE_CHECKING:
-    from design.paper_claims import Verdict
+    from design.verdicts import Verdict
 
 NO_RECORD = (
     "Fig. 5 compares the model with a measured record, and none was given: "

@@ -8,6 +8,7 @@ import pytest
 from design.differential_evolution import DifferentialEvolution
 from design.genetic_algorithm import GeneticAlgorithm
 from design.polynomials import Array
+from design.random_search import RandomSearch
 from design.search import Progress, Searcher, maximise
 
 
@@ -20,6 +21,7 @@ def valley(points: Array, _worth: Array) -> Array:
 SEARCHERS = {
     "differential evolution": lambda seed: DifferentialEvolution(3, seed=seed, evaluations=3000),
     "genetic algorithm": lambda seed: GeneticAlgorithm(3, seed=seed, population=100, generations=30),
+    "random search": lambda seed: RandomSearch(3, seed=seed, population=100, generations=30),
 }
 
 
