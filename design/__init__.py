@@ -34,6 +34,7 @@ search                 ask, tell, stop, and recorded convergence; ``differential
                        default), ``genetic_algorithm`` (the paper's) and ``random_search`` are searchers
 weight_selection       eqs. (8), (9)
 synthesis              eqs. (13), (14), over one plant or the worst of several
+python_control         plants and finished laws, to and from python-control
 =====================  ==============================================================================
 
 Conventions: negative feedback; polynomials are arrays (..., n + 1) in falling powers, leading axes are

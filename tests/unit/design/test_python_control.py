@@ -1,0 +1,156 @@
+"""To and from python-control, and with its tools: what was designed is what it computes, by itself."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import control
+import msgspec
+import numpy as np
+import pytest
+from support.designs import sampled_design
+from support.paper_loop import G0, PERIOD_S
+
+from design.controller_files import controller_files
+from design.errors import DesignError
+from design.plant import Plant, Sampling, paper_plant, read_plant
+from design.python_control import controller_to_control, plant_from_control, plant_to_control
+from hil.controller_file import Pid, read_controller
+from hil.errors import DocumentError, HilError
+
+SAMPLING = Sampling(PERIOD_S, 1)
+FILES = controller_files(sampled_design())
+
+
+def running(stem: str) -> control.StateSpace:
+    return controller_to_control(read_controller(FILES[stem], stem))
+
+
+def test_a_plant_there_and_back() -> None:
+    there = plant_to_control(paper_plant())
+    omega = np.geomspace(0.01, 300.0, 50)
+    expected = np.polyval(G0.num, 1j * omega) / np.polyval(G0.den, 1j * omega)
+    np.testing.assert_allclose(there(1j * omega), expected, rtol=1e-12)
+    for system in (there, control.ss(there)):
+        back = plant_from_control(system, name="paper", output_unit="m")
+        np.testing.assert_allclose(back.num, paper_plant().num, rtol=1e-9)
+        np.testing.assert_allclose(back.den, paper_plant().den, rtol=1e-9)
+        assert back.sample_time_s is None
+
+
+def test_a_sampled_model_is_what_stands_behind_its_hold() -> None:
+    held = control.sample_system(control.ss(plant_to_control(paper_plant())), PERIOD_S, "zoh")
+    back = plant_from_control(held, name="held", output_unit="m")
+    np.testing.assert_allclose(back.num, paper_plant().num, rtol=1e-6)
+    np.testing.assert_allclose(back.den, paper_plant().den, rtol=1e-6)
+    assert back.sample_time_s == PERIOD_S
+    integrating = control.sample_system(control.tf([2.0], [1.0, 3.0, 0.0]), 0.1, "zoh")
+    back = plant_from_control(integrating, name="integrating", output_unit="rad")
+    assert back.output_unit == "rad"
+    np.testing.assert_allclose(back.num, [2.0], rtol=1e-6)
+    np.testing.assert_allclose(back.den, [1.0, 3.0, 0.0], atol=1e-9)
+
+
+def test_hold_and_delay_are_python_controls() -> None:
+    held = control.sample_system(control.ss(plant_to_control(paper_plant())), PERIOD_S, "zoh")
+    late = held * control.ss(control.tf([1.0], [1.0, 0.0], PERIOD_S))
+    z = np.exp(1j * np.geomspace(0.01, 250.0, 60) * PERIOD_S)
+    np.testing.assert_allclose(plant_to_control(paper_plant(), SAMPLING)(z), late(z), rtol=1e-8)
+
+
+@pytest.mark.parametrize("index", range(5))
+def test_its_simulation_of_the_file_is_the_response_that_is_reported(index: int) -> None:
+    design = sampled_design()
+    stem = list(FILES)[index]
+    loop = control.interconnect(
+        [plant_to_control(paper_plant(), SAMPLING), running(stem)], inputs="r", outputs=["y", "u"]
+    )
+    expected = design.problem.step(design.candidates[index], 3.0)
+    simulated = control.step_response(loop, expected.time_s)
+    np.testing.assert_allclose(simulated.outputs[0, 0], expected.y[0], atol=1e-9)
+    np.testing.assert_allclose(simulated.outputs[1, 0], expected.u[0], atol=1e-7 * np.abs(expected.u).max())
+
+
+@pytest.mark.parametrize("index", range(5))
+def test_the_reported_margin_is_the_norm_of_what_the_daemon_runs(index: int) -> None:
+    """1/‖T_zw‖∞ of eq. (13) by slycot, of hold, plant, one sample of delay, and the file's law."""
+    design = sampled_design()
+    stem = list(FILES)[index]
+    W = control.tf(design.weight.weight.num, design.weight.weight.den)
+    W, W_inverse = (control.sample_system(control.ss(H), PERIOD_S, "bilinear") for H in (W, 1 / W))
+    held = control.sample_system(control.ss(plant_to_control(paper_plant())), PERIOD_S, "zoh")
+    Gs = held * control.ss(control.tf([1.0], [1.0, 0.0], PERIOD_S)) * W
+    n = Gs.nstates
+    P = control.ss(
+        Gs.A,
+        np.hstack([np.zeros((n, 1)), Gs.B, Gs.B]),
+        np.vstack([Gs.C, np.zeros((1, n)), Gs.C]),
+        [[1.0, *2 * [Gs.D[0, 0]]], [0.0, 0.0, 1.0], [1.0, *2 * [Gs.D[0, 0]]]],
+        PERIOD_S,
+    )
+    law = running(stem)
+    feedback = control.ss(law.A, law.B[:, 1:], law.C, law.D[:, 1:], PERIOD_S)
+    norm, _ = control.linfnorm(P.lft(W_inverse * feedback), tol=1e-12)
+    reported = read_controller(FILES[stem], stem).origin["margins"]["eps_sampled"]
+    assert reported == design.measures[index].eps_sampled
+    assert 1.0 / norm == pytest.approx(reported, rel=1e-7)
+
+
+def test_setpoint_weights_cross_too() -> None:
+    file = read_controller(FILES["controller"], "c")
+    pid = Pid(kp=3.0, ki=2.0, kd=0.1, tau_d=0.05, b=0.4, c=0.0)
+    law = controller_to_control(msgspec.structs.replace(file, law=pid))
+    assert (law.input_labels, law.output_labels, law.dt) == (["r", "y"], ["u"], PERIOD_S)
+    first = control.step_response(law, PERIOD_S * np.arange(3.0)).outputs[0, :, 0]
+    half, filtered = 0.5 * 2.0 * PERIOD_S, 2.0 * 0.1 / (2.0 * 0.05 + PERIOD_S)
+    np.testing.assert_allclose(first, [0.4 * 3.0 + half, -(3.0 + half + filtered)], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("system", "said"),
+    [
+        (control.ss([[-1.0]], [[1.0, 2.0]], [[1.0]], [[0.0, 0.0]]), "2 inputs and 1 outputs"),
+        (control.tf([1.0], [1.0, -0.5], True), "sample time is not given"),
+        (control.tf([1.0], [1.0, -0.5, 0.0], 0.1), "whole samples of delay belong into loop.delay_samples"),
+        (control.tf([1.0], [1.0, 0.5], 0.1), "z = -0.5: no continuous system"),
+    ],
+)
+def test_what_is_no_plant_is_refused(system: control.TransferFunction, said: str) -> None:
+    with pytest.raises(DesignError, match=said):
+        plant_from_control(system, name="p", output_unit="m")
+
+
+def test_a_plant_from_there_is_checked_like_any_other() -> None:
+    hidden = control.tf([1.0, -1.0], [1.0, 1.0, -2.0])
+    with pytest.raises(DocumentError, match="unstable pole at s = 1 is cancelled"):
+        plant_from_control(hidden, name="p", output_unit="m")
+    with pytest.raises(HilError, match="improper"):
+        plant_from_control(control.tf([1.0, 0.0, 0.0], [1.0, 1.0]), name="p", output_unit="m")
+    assert isinstance(plant_from_control(control.tf([1.0], [1.0, 1.0]), name="p", output_unit="m"), Plant)
+
+
+def test_no_command_imports_python_control(tmp_path: Path) -> None:
+    """Its import takes longer than a whole design."""
+    code = (
+        "import sys; from hil.cli import main; import design.python_control\n"
+        "status = main(['design', '--out', sys.argv[1]])\n"
+        "assert not {'control', 'slycot', 'matplotlib'} & set(sys.modules)\n"
+        "sys.exit(status)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=True, capture_output=True)
+
+
+def test_the_example_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    readme = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
+    (example,) = (block for block in re.findall(r"```python\n(.*?)```", readme, re.S) if "control" in block)
+    (tmp_path / "designs" / "paper").mkdir(parents=True)
+    (tmp_path / "designs" / "paper" / "controller.json").write_text(FILES["controller"])
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(example, names)
+    assert np.abs(names["loop"].poles()).max() < 1.0
+    assert read_plant((tmp_path / "plant.json").read_text(), "plant.json").num == [0.3]
