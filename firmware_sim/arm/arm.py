@@ -240,8 +240,8 @@ class Arm:
         return (
             f"{when}: {AXES[fault - 1]} at {axis.position_m:.4g} m of its cylinder, "
             f"{axis.velocity_m_s:.4g} m/s, chambers at {axis.pressure_pa[0]:.4g} and "
-            f"{axis.pressure_pa[1]:.4g} Pa; {remedy}, or it meets its end harder than "
-            f"axes.{AXES[fault - 1]}.stop can take"
+            f"{axis.pressure_pa[1]:.4g} Pa; {remedy}, or it meets its end harder than stop and "
+            f"cylinder.dead_volume_m3 of axes.{AXES[fault - 1]} can take"
         )
 
 
