@@ -84,7 +84,9 @@ def _parser() -> argparse.ArgumentParser:
         "plant", nargs="?", default=PAPER, metavar="PLANT", help=f"plant file, or a shipped one: {shipped}"
     )
     parser.add_argument("--design", type=Path, metavar="FILE", help="design file, TOML (the shipped example)")
-    parser.add_argument("--structure", metavar="NAME", help=f"{STRUCTURE_NAMES}, or module:Class (pid)")
+    parser.add_argument(
+        "--structure", metavar="NAME", help=f"{STRUCTURE_NAMES}, or your own file.py:Class (pid)"
+    )
     parser.add_argument("--seed", type=_seed, metavar="N", help="seed of every search (1)")
     parser.add_argument("--axis-unit", choices=("m", "rad"), help="refuse a plant in another unit")
     parser.add_argument(

@@ -6,10 +6,7 @@ the paper's (Sec. IV), designed in the sampled loop of the shipped rig. No desig
 
 from __future__ import annotations
 
-import importlib
-import sys
 from importlib import resources
-from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
@@ -17,6 +14,7 @@ import msgspec
 from design.boxes import Parameter, with_boxes
 from design.differential_evolution import DifferentialEvolution
 from design.genetic_algorithm import GeneticAlgorithm
+from design.own_structures import own_structure
 from design.plant import Sampling
 from design.search import Searcher
 from design.specifications import Specification
@@ -123,7 +121,7 @@ class FreeOrders(Document, frozen=True):
 
 
 class ControllerStructure(Document, frozen=True):
-    """K(p): a shipped structure, "free" with ``orders``, or a class of one's own as "module:Class"."""
+    """K(p): a shipped structure, "free" with ``orders``, or a class of one's own, "file.py:Class"."""
 
     structure: str = "pid"
     orders: FreeOrders | None = None
@@ -190,8 +188,17 @@ class DesignFile(Document, frozen=True):
             structure: Structure = FreeTransferFunction(orders.num, orders.den, orders.integrators)
         elif name in STRUCTURES:
             structure = STRUCTURES[name]
+        elif ":" in name:
+            structure = own_structure(name, self.loop.period_s)
+        elif name == "free":
+            raise DocumentError(
+                'controller structure "free": its orders go into a design file, controller.orders'
+            )
         else:
-            structure = _own_structure(name)
+            raise DocumentError(
+                f"controller structure {name!r}: not one of {', '.join([*STRUCTURES, 'free'])}; "
+                'a class of your own is named "file.py:Class" or "module:Class"'
+            )
         return with_boxes(structure, _parameters(self.controller.box))
 
     def weight_searcher(self, dimensions: int) -> Searcher:
@@ -241,26 +248,3 @@ def example_text() -> str:
 
 def _parameters(boxes: dict[str, Box]) -> dict[str, Parameter]:
     return {name: Parameter(name, box.low, box.high, box.coding) for name, box in boxes.items()}
-
-
-def _own_structure(name: str) -> Structure:
-    """A structure from a user's module, which may lie in the working directory."""
-    module_name, colon, attribute = name.partition(":")
-    if not colon:
-        raise DocumentError(
-            f"controller structure {name!r}: not one of {', '.join([*STRUCTURES, 'free'])}; "
-            'a class of your own is named "module:Class"'
-        )
-    sys.path.insert(0, str(Path.cwd()))
-    try:
-        found = getattr(importlib.import_module(module_name), attribute)
-    except (ImportError, AttributeError) as error:
-        raise DocumentError(f"controller structure {name!r}: {error}") from None
-    finally:
-        sys.path.pop(0)
-    structure = found() if isinstance(found, type) else found
-    if not isinstance(structure, Structure):
-        raise DocumentError(
-            f"controller structure {name!r}: lacks parameters, controller or law, see design.structures"
-        )
-    return structure

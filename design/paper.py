@@ -80,12 +80,13 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
         weight=W1,
         eps_opt=problem.eps_opt,
         readings=readings(specifications, selecting),
+        at_walls=(),
     )
     design = Design(
         design_file=asked,
         plant=plant,
         weight=weight,
-        synthesis=searches.typical_controller,
+        synthesis=replace(searches.typical_controller, at_walls=()),
         problem=problem,
         candidates=candidates,
         measures=measures,

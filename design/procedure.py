@@ -84,11 +84,23 @@ class Design:
     def hints(self) -> list[str]:
         """Parameters that the search left at an end of their box."""
         return [
-            f"{', '.join(names)} of the {what} end at a wall of their box: widen it, unless that is wanted, "
-            "or see whether the plant is in other units than its file says"
+            f"{', '.join(names)} of the {what}: at a wall of the box; widen it, unless that is wanted, or "
+            "see whether the plant is in other units than its file says"
             for what, names in (("weight", self.weight.at_walls), ("controller", self.synthesis.at_walls))
             if names
         ]
+
+    def _without_integrator(self) -> str:
+        """A hint where the weight asks for a gain at low frequency that the structure does not have."""
+        feedback, W = self.designed.controller.feedback, self.problem.weight
+        with np.errstate(divide="ignore"):
+            own, wanted = (abs(np.ravel(H.num)[-1] / np.ravel(H.den)[-1]) for H in (feedback, W))
+        if not own < 0.1 * wanted:
+            return ""
+        return (
+            f"; at low frequency it has a gain of {own:.3g} where the weight asks for {wanted:.3g}: choose a "
+            'structure with an integrator, or weight.structure = "p" or "lead-lag"'
+        )
 
     def warnings(self) -> list[str]:
         """What speaks against running this controller, or asks for another design (steps 5 and 9)."""
@@ -106,13 +118,20 @@ class Design:
         elif self.eps < LEAST_COMPATIBLE:
             found.append(
                 f"ε {self.eps:.3f} is under {LEAST_COMPATIBLE}: the structure does not suit the plant"
+                + self._without_integrator()
             )
-        for selecting, designed in zip(self.weight.readings, self.designed_readings, strict=True):
-            if selecting.reading == designed.reading and not designed.met:
-                found.append(
-                    f"the designed loop misses a specification: {designed}; to have the search hold it, set "
-                    "controller.must_meet_specifications = true in the design file"
-                )
+        missed = [
+            designed
+            for selecting, designed in zip(self.weight.readings, self.designed_readings, strict=True)
+            if selecting.reading == designed.reading and not designed.met
+        ]
+        if missed:
+            found.append(
+                "the designed loop misses what is specified:"
+                + "".join(f"\n  {reading}" for reading in missed)
+                + "\n  to have the search hold it, set controller.must_meet_specifications = true in the "
+                "design file"
+            )
         found += [
             f"plant {g.plant.name} is unstable under this controller"
             for g in self.guarantees

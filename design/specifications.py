@@ -119,9 +119,8 @@ class Specification:
         if self.quantity not in QUANTITIES:
             raise DesignError(f"specification {self.quantity!r}: there are " + ", ".join(QUANTITIES))
         if not self.limit > 0.0 and self.kind.unit != "dB":
-            raise DesignError(
-                f"specification {self.quantity}: limit {self.limit} {self.kind.unit}: not over 0"
-            )
+            limit = f"{self.limit:g} {self.kind.unit}".rstrip()
+            raise DesignError(f"specification {self.quantity}: limit {limit}: not over 0")
 
     @property
     def kind(self) -> Quantity:

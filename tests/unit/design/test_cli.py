@@ -131,7 +131,7 @@ def test_a_missed_specification_is_exit_status_1(here: Path, capsys: pytest.Capt
     (here / "d.toml").write_text(SHORT)
     assert main(["design", "--design", "d.toml", "--structure", "p", "--out", "out"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "the designed loop misses a specification: error" in said
+    assert "the designed loop misses what is specified:" in said
     assert "must_meet_specifications = true" in said
     assert Path("out/controller.json").exists()
 

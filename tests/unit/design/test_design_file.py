@@ -8,7 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from design.design_file import PAPER_SPECIFICATIONS, DesignFile, example_text, read_design
+from design.design_file import (
+    PAPER_SPECIFICATIONS,
+    ControllerStructure,
+    DesignFile,
+    example_text,
+    read_design,
+)
 from design.differential_evolution import DifferentialEvolution
 from design.errors import DesignError
 from design.genetic_algorithm import GeneticAlgorithm
@@ -123,6 +129,68 @@ def test_a_class_of_ones_own_is_found_in_the_working_directory(
         read_design('[controller]\nstructure = "my_structures:number"\n', "d.toml").controller_structure()
     with pytest.raises(DocumentError, match="no attribute 'Other'"):
         read_design('[controller]\nstructure = "my_structures:Other"\n', "d.toml").controller_structure()
+
+
+OWN = """
+from dataclasses import dataclass
+import numpy as np
+from design.boxes import Parameter
+from design.structures import Proportional, TustinLaw, of_error
+
+@dataclass(frozen=True)
+class Mine(TustinLaw):
+    parameters: tuple = (Parameter("k", 0.01, 100.0), Parameter("t", 0.01, 1.0))
+    def controller(self, values):
+        k, t = values.T
+        return of_error(k[:, None], np.stack([t, np.ones_like(t)], axis=-1))
+
+class Raises(Mine):
+    def controller(self, values):
+        raise KeyError("gain")
+
+class NotFinite(Mine):
+    def controller(self, values):
+        return of_error(np.log(values[:, :1] - 1.0), np.ones((1, 1)))
+
+class WrongShape(Mine):
+    def controller(self, values):
+        return of_error(values[:, 0], np.ones((1, 1)))
+
+class Improper(Mine):
+    def controller(self, values):
+        return of_error(values, np.ones((1, 1)))
+
+class NoLaw(Mine):
+    def law(self, values, period_s):
+        return None
+"""
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_a_class_of_ones_own_from_a_file_is_tried_before_it_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own_file.py").write_text(OWN)
+    (tmp_path / "broken.py").write_text("def (")
+    monkeypatch.chdir(tmp_path)
+
+    def structure(name: str) -> object:
+        return read_design(f'[controller]\nstructure = "{name}"\n', "d.toml").controller_structure()
+
+    assert type(structure("own_file.py:Mine")).__name__ == "Mine"
+    for name, said in {
+        "own_file.py:Raises": "KeyError: 'gain'",
+        "own_file.py:NotFinite": r"num is not finite at k 0\.",
+        "own_file.py:WrongShape": r"num has shape \(5,\) for 5 candidates, not \(5, n \+ 1\)",
+        "own_file.py:Improper": "improper, it cannot run",
+        "own_file.py:NoLaw": "law: gives NoneType, not a law",
+        "nowhere.py:Mine": "nowhere.py: no such file",
+        "broken.py:Mine": "SyntaxError",
+        "no_such_module:Mine": "No module named 'no_such_module'",
+        "free": "its orders go into a design file",
+    }.items():
+        with pytest.raises(DocumentError, match=said):
+            DesignFile(controller=ControllerStructure(structure=name)).controller_structure()
 
 
 def test_searchers() -> None:

@@ -124,4 +124,4 @@ def test_parameters_at_a_wall_of_their_box_are_told() -> None:
     hints = carry_out(narrow, paper_plant()).hints()
     assert len(hints) == 1
     assert hints[0].startswith("kp")
-    assert "of the controller end at a wall of their box" in hints[0]
+    assert "of the controller: at a wall of the box" in hints[0]

@@ -68,7 +68,7 @@ def test_a_missed_specification_is_crossed() -> None:
     missed = tuple(replace(reading, met=False) for reading in design.designed_readings)
     html = report_of(replace(design, designed_readings=missed))
     assert text_of(html).count("✗") == 3, "overshoot, settling and error; gain and crossover are asked of Gs"
-    assert "the designed loop misses a specification" in html
+    assert "the designed loop misses what is specified:" in html
 
 
 def test_guarantees_of_further_plants(html: str) -> None:

@@ -78,7 +78,7 @@ def test_effort_is_that_of_the_step_asked_for() -> None:
 
 @pytest.mark.parametrize(
     ("quantity", "limit", "named"),
-    [("overshot", 0.05, "overshoot, settling_s"), ("settling_s", 0.0, "limit 0.0 s: not over 0")],
+    [("overshot", 0.05, "overshoot, settling_s"), ("settling_s", 0.0, "limit 0 s: not over 0")],
 )
 def test_impossible_specifications_are_refused(quantity: str, limit: float, named: str) -> None:
     with pytest.raises(DesignError, match=f"specification .?{quantity}") as refusal:
