@@ -177,7 +177,7 @@ class Gateway:
     def _receive_sample(self, data: bytes, now_ns: int) -> Output:
         events: list[Event] = []
         lost_before = self._guard.lost
-        checked = self._guard.check(data, now_ns, not self._has_sample)
+        checked = self._guard.check(data, now_ns)
         if self._guard.lost != lost_before:
             self._report_lost(lost_before, events)
         if isinstance(checked, Unasked):

@@ -31,7 +31,7 @@ class Unasked(str):
 
 
 class SampleGuard:
-    """Checks of TPDO1_ADC, in the order length, CRC, counter, which SYNC, once a period, age, range."""
+    """Checks of TPDO1_ADC, in the order length, CRC, counter, which SYNC, age, range."""
 
     def __init__(self, rig: Rig) -> None:
         self._protected = rig.adc.protected
@@ -47,7 +47,6 @@ class SampleGuard:
         """Whether it is known which SYNC an answer belongs to."""
         self._unanswered: deque[int] = deque(maxlen=FARTHEST_STEP)
         """When the SYNCs left that have no answer, if every answer so far belongs to the oldest."""
-        self._sync_ns = 0
         self._late_answer_ns: int | None = None
         """How long after its SYNC the last answer came, where that was not the last SYNC."""
         self.lost = 0
@@ -63,7 +62,6 @@ class SampleGuard:
         """Whether SYNC leaves now: not while an earlier one may be answered yet, unless it may not wait."""
         if self._awaits_answer(now_ns) and may_wait:
             return False
-        self._sync_ns = now_ns
         self._unanswered.append(now_ns)
         return True
 
@@ -83,11 +81,8 @@ class SampleGuard:
         self._is_matched = False
         return False
 
-    def check(self, data: bytes, now_ns: int, is_first: bool) -> list[float] | str:
-        """Potentiometer voltages in the rig's order of axes, or the reason of the rejection.
-
-        ``is_first`` says whether this period has had no sample yet.
-        """
+    def check(self, data: bytes, now_ns: int) -> list[float] | str:
+        """Potentiometer voltages in the rig's order of axes, or the reason of the rejection."""
         if len(data) != self._length:
             return f"TPDO1_ADC has {len(data)} bytes, not {self._length} (rig: adc.protected)"
         step = 1
@@ -97,21 +92,21 @@ class SampleGuard:
                 return f"TPDO1_ADC: CRC 0x{data[7]:02X}, computed 0x{crc:02X}"
             if self._counter is not None:
                 step = (data[6] - self._counter) & 0xFF
-                complaint = self._counter_complaint(data, step, is_first)
+                complaint = self._counter_complaint(data, step)
                 if complaint:
                     return complaint
                 self.lost += step - 1
             self._counter, self._data = data[6], data
         elif self._is_matched:
             step = len(self._unanswered)
+        if not self._unanswered:
+            return "TPDO1_ADC: no SYNC is unanswered: it came twice, or unasked"
         age_ns = self._match(step, now_ns)
         if self._unanswered:
             return (
                 f"TPDO1_ADC: answers an earlier SYNC, {len(self._unanswered)} before the last: it is late, "
                 "or the board missed a SYNC"
             )
-        if not is_first:
-            return "TPDO1_ADC: not the first sample since SYNC"
         if age_ns > self._period_ns:
             return (
                 f"TPDO1_ADC: {age_ns / 1e6:.2f} ms after SYNC exceeds {self._period_ns / 1e6:g} ms "
@@ -128,12 +123,12 @@ class SampleGuard:
                 )
         return volts
 
-    def _counter_complaint(self, data: bytes, step: int, is_first: bool) -> str:
+    def _counter_complaint(self, data: bytes, step: int) -> str:
         counter = data[6]
-        if step == 0 and not is_first and data != self._data:
+        if step == 0 and not self._unanswered and data != self._data:
             return Unasked(
-                f"TPDO1_ADC: counter {counter} came twice in a period, with other values: another node "
-                "sends it too, under the same node id"
+                f"TPDO1_ADC: counter {counter} came twice, with other values: another node sends it too, "
+                "under the same node id"
             )
         if step == 0:
             return f"TPDO1_ADC: counter {counter} repeated"
@@ -150,9 +145,7 @@ class SampleGuard:
 
     def _match(self, step: int, now_ns: int) -> int:
         """Lay an answer beside the SYNC that it belongs to, ``step`` further on; returns its age."""
-        answered_ns = self._sync_ns
         for _ in range(min(step, len(self._unanswered))):
-            answered_ns = self._unanswered.popleft()
-        age_ns = now_ns - answered_ns
+            age_ns = now_ns - self._unanswered.popleft()
         self._late_answer_ns = age_ns if self._unanswered else None
         return age_ns

@@ -123,7 +123,9 @@ class TestBringUp:
     def test_a_sample_before_the_first_sync_is_not_asked_for(self) -> None:
         gateway = hand()
         gateway.give(ADC_UP, DAC_UP)
-        assert texts(gateway.sample()) == ["guard: rejected: TPDO1_ADC: not the first sample since SYNC"]
+        assert texts(gateway.sample()) == [
+            "guard: rejected: TPDO1_ADC: no SYNC is unanswered: it came twice, or unasked"
+        ]
         assert gateway.state is State.OFFLINE
 
     @pytest.mark.parametrize(

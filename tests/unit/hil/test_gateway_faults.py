@@ -890,8 +890,8 @@ class TestWhichSync:
         output = gateway.give(twin)
         assert commands(output) == [CENTRED]
         assert faults(output) == [
-            "adc: TPDO1_ADC: counter 1 came twice in a period, with other values: another node sends it too, "
-            "under the same node id"
+            "adc: TPDO1_ADC: counter 1 came twice, with other values: another node sends it too, under the "
+            "same node id"
         ]
 
     def test_the_same_frame_twice_is_no_fault(self) -> None:
