@@ -208,7 +208,7 @@ class Subject:
         assert output.frames.count(SYNC) <= 1
         assert has_sync or (state is self.state_before and state is not State.FAULT)
         self.silent_periods = 0 if has_sync else self.silent_periods + 1
-        assert self.silent_periods < FIRST_ANSWER_PERIODS
+        assert self.silent_periods <= FIRST_ANSWER_PERIODS
         self.state_before = self.core.state
         # The next one lies on the same grid, ahead, and at most a period away from the present or the due.
         assert (self.core.next_deadline_ns - due_ns) % PERIOD_NS == 0
