@@ -7,6 +7,7 @@ controller should not be run as it is, or (``--paper``) a figure does not reprod
 from __future__ import annotations
 
 import argparse
+import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -50,6 +51,8 @@ class _Inputs:
 
 def main(argv: list[str]) -> int:
     """Run ``hil design``; returns the exit status. Raises HilError for what the user can put right."""
+    # Before numpy is loaded: on thousands of small matrices, threads cost more than they give.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = _parser().parse_args(argv)
     if options.init:
         return _write_example()
@@ -220,6 +223,8 @@ def _table(design: Design) -> object:
 
 def _tell(console: Console, design: Design, directory: Path) -> int:
     """What was found, what speaks against it, and what to do next."""
+    from design.comparison import eps_text
+
     values = ", ".join(f"{name} {value:.5g}" for name, value in design.designed.parameters.items())
     share = 100.0 * design.eps / design.problem.eps_opt
     console.print(f"\n[bold]{design.designed.name}[/bold]  {values}")
@@ -228,7 +233,7 @@ def _tell(console: Console, design: Design, directory: Path) -> int:
         sure = "guaranteed stable" if guarantee.guaranteed else "not guaranteed by ε alone"
         console.print(
             f"plant {guarantee.plant.name}: ν-gap {guarantee.gap:.3f}, {sure}; "
-            f"ε there {guarantee.eps_there:.3f}"
+            f"ε there {eps_text(guarantee.eps_there)}"
         )
     for note in design.notes:
         console.print(f"not compared: {note}")

@@ -93,42 +93,54 @@ def delay_text(sampling: Sampling) -> str:
 def table_rows(axis_unit: str) -> tuple[Row, ...]:
     """The rows of the table for an axis in ``axis_unit``."""
     return (
-        Row("ε, continuous loop", "", lambda m: f"{m.eps_continuous:.4f}"),
-        Row("ε, sampled loop", "", lambda m: f"{m.eps_sampled:.4f}"),
+        Row("ε, continuous loop", "", lambda m: eps_text(m.eps_continuous)),
+        Row("ε, sampled loop", "", lambda m: eps_text(m.eps_sampled)),
         Row(
             "overshoot",
             "%",
-            lambda m: _number(m, 100.0 * m.overshoot, ".1f"),
+            lambda m: _number(m, 100.0 * m.overshoot, 1, vanishing=True),
             "overshoot",
             lambda m: m.overshoot,
         ),
         Row(
             "2 % settling",
             "s",
-            lambda m: _number(m, m.settling_s, ".2f"),
+            lambda m: _number(m, m.settling_s, 2),
             "settling_s",
             lambda m: m.settling_s,
         ),
         Row(
             "steady-state error",
             "%",
-            lambda m: _number(m, 100.0 * m.error, ".3f"),
+            lambda m: _number(m, 100.0 * m.error, 3, vanishing=True),
             "error",
             lambda m: m.error,
         ),
-        Row("crossover of GK", "rad/s", lambda m: _number(m, m.crossover_rad_s, ".2f")),
-        Row("bandwidth, −3 dB of T", "rad/s", lambda m: _number(m, m.bandwidth_rad_s, ".2f")),
-        Row("gain margin", "dB", lambda m: _number(m, 20.0 * float(np.log10(m.gain_margin)), ".1f")),
-        Row("phase margin", "°", lambda m: _number(m, float(np.degrees(m.phase_margin_rad)), ".1f")),
-        Row("disturbance peak", f"{axis_unit}/V", lambda m: _number(m, m.disturbance_peak, ".4f")),
-        Row("largest |u|, unit step", f"V/{axis_unit}", lambda m: _number(m, m.effort_v, ".1f")),
+        Row("crossover of GK", "rad/s", lambda m: _number(m, m.crossover_rad_s, 2)),
+        Row("bandwidth, −3 dB of T", "rad/s", lambda m: _number(m, m.bandwidth_rad_s, 2)),
+        Row("gain margin", "dB", lambda m: _number(m, 20.0 * float(np.log10(m.gain_margin)), 1)),
+        Row("phase margin", "°", lambda m: _number(m, float(np.degrees(m.phase_margin_rad)), 1)),
+        Row("disturbance peak", f"{axis_unit}/V", lambda m: _number(m, m.disturbance_peak, 4)),
+        Row("largest |u|, unit step", f"V/{axis_unit}", lambda m: _number(m, m.effort_v, 1)),
     )
 
 
-def _number(measures: Measures, value: float, form: str) -> str:
-    if not measures.stable:
-        return "unstable"
-    return format(value, form) if np.isfinite(value) else "∞"
+def eps_text(eps: float) -> str:
+    """A margin; 0 is what an unstable loop has."""
+    return number_text(eps, 4) if eps > 0.0 else "unstable"
+
+
+def number_text(value: float, decimals: int, *, vanishing: bool = False) -> str:
+    """A number to so many decimals, but to two digits at least unless it may vanish."""
+    if not np.isfinite(value):
+        return "∞"
+    if vanishing or value == 0.0 or abs(value) >= 0.95 * 10.0 ** (1 - decimals):
+        return f"{value:.{decimals}f}"
+    return f"{value:.2g}"
+
+
+def _number(measures: Measures, value: float, decimals: int, *, vanishing: bool = False) -> str:
+    return number_text(value, decimals, vanishing=vanishing) if measures.stable else "unstable"
 
 
 @dataclass(frozen=True)

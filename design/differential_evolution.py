@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from design.polynomials import Array
+from design.search import OUT_OF_BUDGET
 
 _CONVERGED = 1e-8
 """Width of the population; fitness says nothing where all fail alike."""
@@ -64,7 +65,7 @@ class DifferentialEvolution:
     def stop(self) -> str | None:
         """See Searcher."""
         if self._left <= 0:
-            return "evaluations used"
+            return OUT_OF_BUDGET
         return "converged" if np.ptp(self._points, axis=0).max() < _CONVERGED else None
 
     def _mixtures(self) -> Array:

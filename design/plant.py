@@ -62,6 +62,11 @@ class Plant(Document, frozen=True, kw_only=True):
     den: list[float]
     origin: dict[str, Any] = msgspec.field(default_factory=dict)
 
+    @property
+    def sense(self) -> float:
+        """1 or -1: the sign of feedback that negative feedback with a positive gain is, at low frequency."""
+        return float(np.sign(np.trim_zeros(self.num, "b")[-1] * np.trim_zeros(self.den, "f")[0]))
+
     def transfer_function(self, sampling: Sampling | None = None) -> TransferFunction:
         """G(s), or with ``sampling`` hold, plant and delay in the bilinear plane."""
         num = np.trim_zeros(np.asarray(self.num, dtype=float), "f")
@@ -107,14 +112,20 @@ def limits_of(plants: Plant | Sequence[Plant], sampling: Sampling | None, wanted
     ``wanted_rad_s`` is the crossover that was asked for.
     """
     several = as_list(plants)
+    signs = {plant.name: plant.sense for plant in several}
     delay_s = 0.0 if sampling is None else (sampling.delay_samples + 0.5) * sampling.period_s
-    return because(
-        [
-            limit if len(several) == 1 else f"{plant.name}: {limit}"
-            for plant in several
-            for limit in what_limits(*plant.transfer_function(), delay_s, wanted_rad_s)
-        ]
-    )
+    limits = [
+        limit if len(several) == 1 else f"{plant.name}: {limit}"
+        for plant in several
+        for limit in what_limits(*plant.transfer_function(), delay_s, wanted_rad_s)
+    ]
+    if len(set(signs.values())) > 1:
+        reversed_ones = ", ".join(name for name, sign in signs.items() if sign < 0.0)
+        limits.append(
+            f"of these plants {reversed_ones} moves against its input, the others with it: hardly any "
+            "controller holds them all"
+        )
+    return because(limits)
 
 
 def as_models(plants: Plant | Sequence[Plant], sampling: Sampling | None) -> list[TransferFunction]:

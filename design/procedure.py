@@ -13,7 +13,7 @@ import numpy as np
 
 from design import baselines, margins
 from design.boxes import Parameter, with_boxes
-from design.comparison import Candidate, Measures, Problem
+from design.comparison import Candidate, Measures, Problem, eps_text
 from design.design_file import DesignFile
 from design.errors import DesignError, NotStabilisedError
 from design.loop_shaping import shaped
@@ -82,13 +82,20 @@ class Design:
         return self.problem.eps(self.measures[0])
 
     def hints(self) -> list[str]:
-        """Parameters that the search left at an end of their box."""
-        return [
+        """What another search might do better: parameters at an end of their box, an end too early."""
+        found = [
             f"{', '.join(names)} of the {what}: at a wall of the box; widen it, unless that is wanted, or "
             "see whether the plant is in other units than its file says"
             for what, names in (("weight", self.weight.at_walls), ("controller", self.synthesis.at_walls))
             if names
         ]
+        found += [
+            f"the search of the {what} was still gaining when its {search.evaluations} evaluations were used "
+            f"up: raise search.{what}_evaluations"
+            for what, search in (("weight", self.weight.search), ("controller", self.synthesis.search))
+            if search.was_still_gaining
+        ]
+        return found
 
     def _without_integrator(self) -> str:
         """A hint where the weight asks for a gain at low frequency that the structure does not have."""
@@ -119,6 +126,11 @@ class Design:
             found.append(
                 f"ε {self.eps:.3f} is under {LEAST_COMPATIBLE}: the structure does not suit the plant"
                 + self._without_integrator()
+            )
+        if self.problem.sampling is None and self.measures[0].eps_sampled < LEAST_COMPATIBLE:
+            found.append(
+                "in the rig's loop, with its hold and delay, ε is "
+                f'{eps_text(self.measures[0].eps_sampled)}: set loop.design = "sampled"'
             )
         missed = [
             designed
@@ -299,8 +311,7 @@ def _guarantee(problem: Problem, designed: Candidate, other: Plant) -> Guarantee
 
 def _if_reversed(plant: Plant) -> str:
     """A hint where the plant moves against its input."""
-    G = plant.transfer_function()
-    if np.trim_zeros(G.num, "b")[-1] * G.den[0] > 0.0:
+    if plant.sense > 0.0:
         return ""
     return (
         "\nNote: the plant's gain is negative: reverse the valve or the potentiometer in the rig file and in "

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from design import figures
-from design.comparison import Measures, delay_text, table_rows
+from design.comparison import Measures, delay_text, number_text, table_rows
 from design.figures import Figure
 from design.loop_shaping import shaped
 from design.measured import ModelFit
@@ -217,13 +217,12 @@ def _parameters(parameters: object) -> str:
 
 
 def _cards(m: Measures) -> dict[str, str]:
-    gain = 20.0 * float(np.log10(m.gain_margin))
     return {
-        "gain": f"{gain:.1f}" if np.isfinite(gain) else "∞",
-        "phase": f"{np.degrees(m.phase_margin_rad):.0f}",
-        "settling": f"{m.settling_s:.2f}",
-        "overshoot": f"{100.0 * m.overshoot:.2f}",
-        "error": f"{100.0 * m.error:.3f}",
-        "disturbance": f"{m.disturbance_peak:.4f}",
-        "bandwidth": f"{m.bandwidth_rad_s:.2f}",
+        "gain": number_text(20.0 * float(np.log10(m.gain_margin)), 1),
+        "phase": number_text(float(np.degrees(m.phase_margin_rad)), 0),
+        "settling": number_text(m.settling_s, 2),
+        "overshoot": number_text(100.0 * m.overshoot, 2, vanishing=True),
+        "error": number_text(100.0 * m.error, 3, vanishing=True),
+        "disturbance": number_text(m.disturbance_peak, 4),
+        "bandwidth": number_text(m.bandwidth_rad_s, 2),
     }

@@ -14,6 +14,9 @@ import numpy as np
 
 from design.polynomials import Array
 
+OUT_OF_BUDGET = "evaluations used"
+"""Why a search stops whose evaluations, not its generations, are limited."""
+
 Objective = Callable[[Array, Array], Array]
 """Fitness (n,) of points (n, p) of the unit cube, given what each must reach to be of any use (n,): where it
 does not, any value below that will do."""
@@ -67,6 +70,13 @@ class SearchResult:
     def evaluations(self) -> int:
         """Points judged."""
         return self.convergence[-1].evaluations
+
+    @property
+    def was_still_gaining(self) -> bool:
+        """Whether the last fifth of its evaluations, the budget being used up, gained over 0.05 %."""
+        before = [p.best_fitness for p in self.convergence if p.evaluations <= 0.8 * self.evaluations]
+        gained = bool(before) and self.best_fitness - before[-1] > 5e-4 * abs(self.best_fitness)
+        return gained and self.stopped == OUT_OF_BUDGET
 
 
 def maximise(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.designs import HEAVIER, continuous_design, sampled_design
+from support.designs import HEAVIER, REVERSED, continuous_design, sampled_design
 
 from design import margins
 from design.design_file import read_design
-from design.errors import InfeasibleError
+from design.errors import DesignError, InfeasibleError
 from design.plant import Plant, Sampling, paper_plant
 from design.procedure import CONTROLLER_STAGE, WEIGHT_STAGE, carry_out
 from design.search import Progress
@@ -100,6 +100,37 @@ def test_pi_is_compared_only_with_other_structures() -> None:
     assert [c.name for c in design.candidates] == ["PI (designed)", "HLS", "ZN", "TLC"]
 
 
+def test_a_continuous_design_that_the_rig_could_not_run_is_warned_of() -> None:
+    for delay, told in ((1, ""), (20, "ε is 0.2"), (60, "ε is unstable")):
+        text = f'[loop]\ndesign = "continuous"\ndelay_samples = {min(delay, 20)}\n'
+        text += "period_s = 0.0336\n" if delay == 60 else ""
+        warnings = carry_out(read_design(text, "d.toml"), paper_plant()).warnings()
+        found = [warning for warning in warnings if "in the rig's loop" in warning]
+        assert len(found) == (1 if told else 0), delay
+        assert told in "".join(found)
+
+
+def test_a_structure_without_an_integrator_is_named_where_the_weight_has_one() -> None:
+    for structure, named in (("p", True), ("pi", False)):
+        design = carry_out(
+            read_design(f'[controller]\nstructure = "{structure}"\n' + SHORT, "d.toml"), paper_plant()
+        )
+        assert any("where the weight asks for" in warning for warning in design.warnings()) == named
+
+
+def test_a_search_that_stops_too_early_is_told() -> None:
+    few = read_design("[search]\ncontroller_evaluations = 2500\n", "d.toml")
+    (hint,) = carry_out(few, paper_plant()).hints()
+    assert hint.startswith("the search of the controller was still gaining when its 2500 evaluations")
+    assert continuous_design().hints() == []
+
+
+def test_plants_that_move_opposite_ways_are_named() -> None:
+    text = SHORT + "[specifications]\novershoot = 0.5\n[further_plants]\nworst_case = true\n"
+    with pytest.raises(DesignError, match="of these plants reversed moves against its input"):
+        carry_out(read_design(text, "d.toml"), paper_plant(), [REVERSED])
+
+
 def test_progress_of_both_stages() -> None:
     seen: dict[str, list[tuple[Progress, int]]] = {}
     carry_out(
@@ -122,6 +153,5 @@ def test_parameters_at_a_wall_of_their_box_are_told() -> None:
         "design.toml",
     )
     hints = carry_out(narrow, paper_plant()).hints()
-    assert len(hints) == 1
     assert hints[0].startswith("kp")
     assert "of the controller: at a wall of the box" in hints[0]

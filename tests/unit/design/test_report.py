@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from support.designs import continuous_design, reproduction, sampled_design
 
-from design.comparison import Measures, table_rows
+from design.comparison import Measures, eps_text, number_text, table_rows
 from design.measured import ModelFit
 from design.plant import TransferFunction
 from design.procedure import Design
@@ -169,3 +169,24 @@ def test_paper_section_lists_every_verdict() -> None:
         assert re.sub(r"\s+", " ", f"{verdict.where} {verdict.what} {verdict.printed} {verdict.ours}") in text
     agreeing = sum(v.agrees for v in verdicts)
     assert f"{agreeing} of {len(verdicts)} printed figures" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "decimals", "text"),
+    [
+        (1.234, 2, "1.23"),
+        (0.0026, 2, "0.0026"),
+        (0.12, 2, "0.12"),
+        (0.0, 2, "0.00"),
+        (np.inf, 2, "∞"),
+        (132376.21, 1, "132376.2"),
+        (0.04, 1, "0.04"),
+    ],
+)
+def test_small_numbers_keep_two_digits(value: float, decimals: int, text: str) -> None:
+    assert number_text(value, decimals) == text
+
+
+def test_what_may_vanish_is_not_drawn_out_and_a_margin_of_0_is_unstable() -> None:
+    assert number_text(3e-9, 1, vanishing=True) == "0.0"
+    assert (eps_text(0.0), eps_text(0.57239), eps_text(2e-5)) == ("unstable", "0.5724", "2e-05")
