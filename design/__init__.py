@@ -18,7 +18,8 @@ The way through it, as one program::
 
 =====================  ==============================================================================
 polynomials, peaks     batched polynomials; the largest value of a ratio over all frequencies, exactly
-plant                  plant documents, zero-order hold and delay, the bilinear plane and z
+plant                  plant documents, zero-order hold and delay, the bilinear plane and z; what a plant
+                       forbids any controller is in ``plant_limits``
 margins                stability margin ε, gain and phase margin, crossover, bandwidth, disturbance peak
 nu_gap                 chordal distance, Vinnicombe's ν-gap
 loop_shaping           Appendices A and B, McFarlane-Glover synthesis by Riccati equations, one plant

@@ -151,7 +151,10 @@ def steps(
     limits = {s.quantity: s.limit for s in specifications}
     # One loop that is much slower than the others does not squeeze them.
     shown = min(max(settling), 4.0 * min(settling))
-    horizon_s = 2.0 * max(shown, limits.get("settling_s", 0.0), 20.0 * problem.rig_sampling.period_s)
+    limit_s = limits.get("settling_s", 0.0)
+    # Nor does a limit that all are far within.
+    wanted_s = limit_s if limit_s <= 4.0 * shown else 0.0
+    horizon_s = 2.0 * max(shown, wanted_s, 20.0 * problem.rig_sampling.period_s)
     responses = [(c.name, problem.step(c, horizon_s), all_styles[c.name]) for c, _ in chosen]
     sampled = problem.sampling is not None
     x = Axis(_SECONDS, low=0.0, high=horizon_s)
@@ -160,8 +163,8 @@ def steps(
     marks = []
     if "overshoot" in limits:
         marks.append(Limit(1.0 + limits["overshoot"], f"overshoot limit {100.0 * limits['overshoot']:g} %"))
-    if "settling_s" in limits:
-        marks.append(Limit(limits["settling_s"], f"settled by {limits['settling_s']:g} s", of_x=True))
+    if 0.0 < limit_s < horizon_s:
+        marks.append(Limit(limit_s, f"settled by {limit_s:g} s", of_x=True))
     top = max([1.02, 1.0 + limits.get("overshoot", 0.0), *(float(c.y.max()) for c in y)])
     panels = [
         Panel(

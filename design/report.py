@@ -22,7 +22,7 @@ from design.measured import ModelFit
 from design.plant import TransferFunction
 from design.polynomials import Array
 from design.procedure import Design
-from design.specifications import Specification
+from design.specifications import ROUNDING, Specification
 from hil.documents import to_json
 
 if TYPE_CHECKING:
@@ -122,7 +122,8 @@ def render(
                 [
                     (
                         row.text(m),
-                        row.specified_as in limits and not row.value(m) <= limits[row.specified_as or ""],
+                        row.specified_as in limits
+                        and not row.value(m) <= limits[row.specified_as or ""] * (1.0 + ROUNDING),
                     )
                     for m in design.measures
                 ],

@@ -19,6 +19,8 @@ from design.polynomials import Array
 UNSTABLE = 1e3
 """Violation from which on a loop is unstable."""
 _WORST = 1e2
+ROUNDING = 1e-7
+"""Relative to a limit: a search goes up to it, and read alone a loop differs in its last digits."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,7 @@ def readings(specifications: Sequence[Specification], loops: Loops) -> tuple[Rea
     for specification in specifications:
         kind = specification.kind
         value = specification.read(loops)
-        met = bool(loops.stable[0] and specification.violation(value)[0] <= 0.0)
+        met = bool(loops.stable[0] and specification.violation(value)[0] <= ROUNDING)
         name = kind.reading.format(desired=loops.desired_name, at=specification.at)
         result.append(
             Reading(specification.quantity, float(value[0]), specification.limit, kind.unit, name, met)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -10,11 +12,12 @@ from support.designs import PERIOD_S, continuous_design, sampled_design
 from support.drawn_curves import drawn_curves
 
 from design.comparison import Candidate
-from design.figures import Figure
+from design.figures import Figure, steps, styles
 from design.measured import ModelFit
 from design.plant import paper_plant
 from design.procedure import Design
 from design.report import design_figures
+from design.specifications import Specification
 
 Values = NDArray[np.float64]
 
@@ -146,3 +149,23 @@ def test_record_and_model() -> None:
 
 def test_without_a_record_fig_5_is_not_drawn() -> None:
     assert "fig5-identification" not in figures_of(sampled_design())
+
+
+def test_steps_are_drawn_on_their_own_time_scale() -> None:
+    """One loop much slower than the others, or a limit that all are far within, squeezes none of them."""
+    design = sampled_design()
+    pairs = list(zip(design.candidates, design.measures, strict=True))[:2]
+
+    def drawn_s(settling_s: float, other_s: float, limit_s: float) -> tuple[float, bool]:
+        chosen = [
+            (candidate, replace(measures, settling_s=value))
+            for (candidate, measures), value in zip(pairs, (settling_s, other_s), strict=True)
+        ]
+        asked = [Specification("settling_s", limit_s)]
+        figure = steps("k", "t", "c", design.problem, chosen, styles(design.candidates), asked)
+        return float(curve(figure, 0, design.designed.name)[0][-1]), "settled by" in figure.svg
+
+    assert drawn_s(1.1, 1.2, 1.2) == (pytest.approx(2.4, abs=0.02), True)
+    assert drawn_s(1.0, 4000.0, 1.2) == (pytest.approx(8.0, abs=0.02), True)
+    assert drawn_s(1.0, 1.0, 4000.0) == (pytest.approx(2.0, abs=0.02), False)
+    assert drawn_s(np.inf, np.inf, 1.0) == (pytest.approx(6.0, abs=0.02), True)

@@ -101,6 +101,14 @@ def test_violations_are_relative_to_the_limit_and_add_up() -> None:
     ]
 
 
+def test_a_loop_at_its_limit_meets_it_whatever_the_last_digits() -> None:
+    loops = Loops(G0, pid(*PPID))
+    settling = read("settling_s", loops)
+    for limit, met in ((settling * (1.0 - 1e-9), True), (settling * (1.0 - 1e-5), False)):
+        (reading,) = readings([Specification("settling_s", limit)], loops)
+        assert reading.met == met
+
+
 def test_an_unstable_loop_is_worse_than_any_violation() -> None:
     K = STRUCTURES["pi"].controller(np.array([[500.0, 5.0], [0.01, 0.01]]))
     unstable, slow = violations(PAPER, Loops(G0, K))
