@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core, for ours and for the peers; read as numpy is loaded
 
 import control
 import numpy as np
