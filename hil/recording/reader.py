@@ -183,7 +183,8 @@ class Recording:
 
         Raises RecordingError where messages are missing: what was dropped while recording cannot be replayed.
         """
-        readers = self._readers()
+        channels = self._contents.channels
+        readers = {channel.id: self._reader(topic) for topic, channel in channels.items()}
         expected = 1
         for message in self._messages(None):
             if message.sequence != expected:
@@ -193,14 +194,16 @@ class Recording:
                     "recording; from there on the calls of the core are not known"
                 )
             expected = (message.sequence + 1) & SEQUENCE_MASK
-            if message.channel in readers:
-                try:
-                    entry = readers[message.channel](message)
-                except (ValueError, struct.error) as error:
-                    raise RecordingError(
-                        f"{self.path}: message {message.sequence} cannot be read: {error}"
-                    ) from None
-                yield entry
+            read = readers.get(message.channel)
+            if read is None:
+                continue
+            try:
+                entry = read(message)
+            except (ValueError, struct.error) as error:
+                raise RecordingError(
+                    f"{self.path}: message {message.sequence} cannot be read: {error}"
+                ) from None
+            yield entry
         dropped = self.messages_dropped
         if dropped:
             raise RecordingError(
@@ -213,21 +216,26 @@ class Recording:
         counts = self.metadata.get("recorder", {})
         return sum(int(count) for key, count in counts.items() if key.startswith("dropped "))
 
-    def _readers(self) -> dict[int, Callable[[_Message], Entry]]:
-        """By channel id, what makes an entry of a message."""
-        frame, deadline = self._struct("/can/rx", self.bus), self._struct("/gateway/deadline", "")
-        cycle = self._struct("/gateway/cycle", "")
-        by_topic: dict[str, Callable[[_Message], Entry]] = {
-            "/can/rx": lambda m: FrameReceived(m.now_ns, _frame(frame.unpack(m.payload)), m.stamp_ns),
-            "/can/tx": lambda m: FrameSent(m.now_ns, _frame(frame.unpack(m.payload))),
-            "/gateway/deadline": lambda m: DeadlineCalled(*deadline.unpack(m.payload)[:0:-1]),
-            "/gateway/operator": lambda m: Operated(m.now_ns, _string(m.payload, len(CDR_HEADER))[0]),
-            "/gateway/events": lambda m: EventTold(m.now_ns, _event(m.payload)),
-            "/gateway/cycle": lambda m: CycleRecorded(m.now_ns, *cycle.unpack(m.payload)[1:]),
-        }
-        for name in self.axes:
-            by_topic[AXIS_TOPIC + name] = self._axis_reader(name)
-        return {self._contents.channel(topic).id: read for topic, read in by_topic.items()}
+    def _reader(self, topic: str) -> Callable[[_Message], Entry] | None:
+        """What makes an entry of a message of ``topic``; None for topics that are not the gateway's."""
+        match topic:
+            case "/can/rx":
+                frame = self._struct(topic, self.bus).unpack
+                return lambda m: FrameReceived(m.now_ns, _frame(frame(m.payload)), m.stamp_ns)
+            case "/can/tx":
+                frame = self._struct(topic, self.bus).unpack
+                return lambda m: FrameSent(m.now_ns, _frame(frame(m.payload)))
+            case "/gateway/deadline":
+                deadline = self._struct(topic, "").unpack
+                return lambda m: DeadlineCalled(*deadline(m.payload)[:0:-1])
+            case "/gateway/operator":
+                return lambda m: Operated(m.now_ns, _string(m.payload, len(CDR_HEADER))[0])
+            case "/gateway/events":
+                return lambda m: EventTold(m.now_ns, _event(m.payload))
+            case "/gateway/cycle":
+                cycle = self._struct(topic, "").unpack
+                return lambda m: CycleRecorded(m.now_ns, *cycle(m.payload)[1:])
+        return self._axis_reader(topic.removeprefix(AXIS_TOPIC)) if topic.startswith(AXIS_TOPIC) else None
 
     def _axis_reader(self, name: str) -> Callable[[_Message], AxisRecorded]:
         axis = self._struct(AXIS_TOPIC + name, "")

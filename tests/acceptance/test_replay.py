@@ -43,6 +43,7 @@ def rewritten(
     change: Callable[[Message], None] = lambda _message: None,
     attachments: Callable[[str, bytes], bytes] = lambda _name, data: data,
     metadata: Callable[[str, dict[str, str]], dict[str, str]] = lambda _name, entries: entries,
+    until: Callable[[Message], bool] = lambda _message: False,
 ) -> Path:
     """A copy by mcap's own reader and writer, every CRC right, of what the functions make of the parts."""
     with source.open("rb") as original, target.open("wb") as file:
@@ -65,6 +66,8 @@ def rewritten(
                     channel.topic, channel.message_encoding, schemas[schema.id], dict(channel.metadata)
                 )
             message = Message(channel.topic, bytearray(record.data))
+            if until(message):
+                break
             change(message)
             writer.add_message(
                 channels[channel.id],
@@ -208,6 +211,31 @@ def test_an_operators_command_that_is_none_is_found(
     changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/operator", 1, flip(8)))
     assert main(["replay", "--verify", str(changed)]) == 1
     assert "no operator's command" in capsys.readouterr().err
+
+
+def test_a_recording_that_ends_before_the_core_had_said_all_is_different(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The last command is missing, and with it all that came after; no sequence tells."""
+    seen = Counter[str]()
+
+    def until(message: Message) -> bool:
+        seen[message.topic] += 1
+        return message.topic == "/can/tx" and seen["/can/tx"] == 400
+
+    changed = rewritten(recorded, tmp_path / "changed.mcap", until=until)
+    assert main(["replay", "--verify", str(changed)]) == 1
+    assert "after the last message: recorded nothing, the core sends" in capsys.readouterr().err
+
+
+def test_a_recording_without_a_period_is_refused(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changed = rewritten(
+        recorded, tmp_path / "changed.mcap", until=lambda message: message.topic == "/gateway/deadline"
+    )
+    assert main(["replay", "--verify", str(changed)]) == 2
+    assert "changed.mcap: holds no period; there is nothing to replay" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("place", "value"), [(12, 99), (20, 0xFF)])
