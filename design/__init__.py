@@ -35,6 +35,7 @@ search                 ask, tell, stop, and recorded convergence; ``differential
                        default), ``genetic_algorithm`` (the paper's) and ``random_search`` are searchers
 weight_selection       eqs. (8), (9)
 synthesis              eqs. (13), (14), over one plant or the worst of several
+procedure, advice      all steps of a design, from its file; what is said of the result
 python_control         plants and finished laws, to and from python-control
 =====================  ==============================================================================
 

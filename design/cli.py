@@ -223,6 +223,7 @@ def _table(design: Design) -> object:
 
 def _tell(console: Console, design: Design, directory: Path) -> int:
     """What was found, what speaks against it, and what to do next."""
+    from design.advice import hints, warnings
     from design.comparison import eps_text
 
     values = ", ".join(f"{name} {value:.5g}" for name, value in design.designed.parameters.items())
@@ -237,10 +238,10 @@ def _tell(console: Console, design: Design, directory: Path) -> int:
         )
     for note in design.notes:
         console.print(f"not compared: {note}")
-    for hint in design.hints():
+    for hint in hints(design):
         console.print(hint, style="yellow")
-    warnings = design.warnings()
-    for warning in warnings:
+    against = warnings(design)
+    for warning in against:
         console.print(warning, style="red")
     plant = design.plant
     axis = plant.name if plant.name in AXES else AXIS_OF_UNIT[plant.output_unit]
@@ -249,7 +250,7 @@ def _tell(console: Console, design: Design, directory: Path) -> int:
         f"next        hil run --controller {axis}={directory / 'controller.json'}",
         soft_wrap=True,
     )
-    return 1 if warnings else 0
+    return 1 if against else 0
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import numpy as np
 
 from design import baselines, margins
 from design.boxes import Parameter, with_boxes
-from design.comparison import Candidate, Measures, Problem, eps_text
+from design.comparison import Candidate, Measures, Problem
 from design.design_file import DesignFile
 from design.errors import DesignError, NotStabilisedError
 from design.loop_shaping import shaped
@@ -23,7 +23,7 @@ from design.search import Progress
 from design.specifications import Reading, readings
 from design.structures import STRUCTURES, Controller, Structure, tustin_law
 from design.synthesis import Synthesis, synthesise
-from design.weight_selection import LEAST_COMPATIBLE, WeightSelection, select_weight
+from design.weight_selection import WeightSelection, select_weight
 
 WEIGHT_STAGE, CONTROLLER_STAGE = "weight W1", "controller"
 
@@ -80,76 +80,6 @@ class Design:
     def eps(self) -> float:
         """Its margin, in the loop designed for."""
         return self.problem.eps(self.measures[0])
-
-    def hints(self) -> list[str]:
-        """What another search might do better: parameters at an end of their box, an end too early."""
-        found = [
-            f"{', '.join(names)} of the {what}: at a wall of the box; widen it, unless that is wanted, or "
-            "see whether the plant is in other units than its file says"
-            for what, names in (("weight", self.weight.at_walls), ("controller", self.synthesis.at_walls))
-            if names
-        ]
-        found += [
-            f"the search of the {what} was still gaining when its {search.evaluations} evaluations were used "
-            f"up: raise search.{what}_evaluations"
-            for what, search in (("weight", self.weight.search), ("controller", self.synthesis.search))
-            if search.was_still_gaining
-        ]
-        return found
-
-    def _without_integrator(self) -> str:
-        """A hint where the weight asks for a gain at low frequency that the structure does not have."""
-        feedback, W = self.designed.controller.feedback, self.problem.weight
-        with np.errstate(divide="ignore"):
-            own, wanted = (abs(np.ravel(H.num)[-1] / np.ravel(H.den)[-1]) for H in (feedback, W))
-        if not own < 0.1 * wanted:
-            return ""
-        return (
-            f"; at low frequency it has a gain of {own:.3g} where the weight asks for {wanted:.3g}: choose a "
-            'structure with an integrator, or weight.structure = "p" or "lead-lag"'
-        )
-
-    def warnings(self) -> list[str]:
-        """What speaks against running this controller, or asks for another design (steps 5 and 9)."""
-        found = []
-        if not self.weight.compatible:
-            found.append(
-                f"ε_opt {self.weight.eps_opt:.3f} is under {LEAST_COMPATIBLE}: these specifications leave no "
-                "robust loop; relax them or change the weight structure"
-            )
-        elif self.eps < LEAST_COMPATIBLE and self.eps > 0.9 * self.problem.eps_opt:
-            found.append(
-                f"ε {self.eps:.3f} is under {LEAST_COMPATIBLE}, and no controller has more than "
-                f"{self.problem.eps_opt:.3f} with this weight: relax the specifications"
-            )
-        elif self.eps < LEAST_COMPATIBLE:
-            found.append(
-                f"ε {self.eps:.3f} is under {LEAST_COMPATIBLE}: the structure does not suit the plant"
-                + self._without_integrator()
-            )
-        if self.problem.sampling is None and self.measures[0].eps_sampled < LEAST_COMPATIBLE:
-            found.append(
-                "in the rig's loop, with its hold and delay, ε is "
-                f'{eps_text(self.measures[0].eps_sampled)}: set loop.design = "sampled"'
-            )
-        missed = [
-            designed
-            for selecting, designed in zip(self.weight.readings, self.designed_readings, strict=True)
-            if selecting.reading == designed.reading and not designed.met
-        ]
-        if missed:
-            found.append(
-                "the designed loop misses what is specified:"
-                + "".join(f"\n  {reading}" for reading in missed)
-                + "\n  to have the search hold it, set controller.must_meet_specifications = true in the "
-                "design file"
-            )
-        found += [
-            f"plant {g.plant.name} is unstable under this controller"
-            for g in self.guarantees
-            if not g.eps_there
-        ]
-        return found
 
 
 def carry_out(

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from design import figures
+from design.advice import hints, warnings
 from design.comparison import Measures, delay_text, number_text, table_rows
 from design.figures import Figure
 from design.loop_shaping import shaped
@@ -114,7 +115,8 @@ def render(
         eps=design.eps,
         eps_opt=problem.eps_opt,
         cards=_cards(design.measures[0]),
-        warnings=design.warnings(),
+        warnings=warnings(design),
+        hints=hints(design),
         specifications=_specification_rows(design),
         table=[
             (

@@ -9,6 +9,7 @@ import pytest
 from support.designs import reproduction
 
 from design import paper_claims
+from design.advice import hints
 from design.paper_claims import Evidence, judge
 from design.paper_searches import Runs
 from design.plant import TransferFunction
@@ -180,7 +181,7 @@ def test_the_report_shows_the_median_run() -> None:
     eps = np.sort(evidence.searches.genetic_controllers.after(-1))
     assert design.synthesis.eps == pytest.approx(eps[10])
     assert design.synthesis.search.searcher == "genetic algorithm"
-    assert design.hints() == [], "of the printed weight and controllers, not of that run's"
+    assert hints(design) == [], "of the printed weight and controllers, not of that run's"
 
 
 def test_runs() -> None:

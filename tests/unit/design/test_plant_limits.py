@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.paper_loop import PERIOD_S, W1
 
+from design.advice import warnings
 from design.central_controller import central_controllers, optimal_margins
 from design.design_file import read_design
 from design.errors import DesignError, InfeasibleError, NotStabilisedError
@@ -89,6 +90,6 @@ def test_a_margin_that_no_controller_exceeds_is_not_blamed_on_the_structure() ->
     short = "[search]\ncontroller_evaluations = 3000\n"
     design = carry_out(read_design(short, "d.toml"), plant([-1.0, 2.0], [1.0, 3.0, 2.0]))
     assert design.problem.eps_opt > 0.25 > design.eps > 0.9 * design.problem.eps_opt
-    (warning,) = (w for w in design.warnings() if "0.25" in w)
+    (warning,) = (w for w in warnings(design) if "0.25" in w)
     assert "no controller has more than" in warning
     assert "structure" not in warning

@@ -7,6 +7,7 @@ import pytest
 from support.designs import HEAVIER, REVERSED, continuous_design, sampled_design
 
 from design import margins
+from design.advice import hints, warnings
 from design.design_file import read_design
 from design.errors import DesignError, InfeasibleError
 from design.plant import Plant, Sampling, paper_plant
@@ -104,8 +105,8 @@ def test_a_continuous_design_that_the_rig_could_not_run_is_warned_of() -> None:
     for delay, told in ((1, ""), (20, "ε is 0.2"), (60, "ε is unstable")):
         text = f'[loop]\ndesign = "continuous"\ndelay_samples = {min(delay, 20)}\n'
         text += "period_s = 0.0336\n" if delay == 60 else ""
-        warnings = carry_out(read_design(text, "d.toml"), paper_plant()).warnings()
-        found = [warning for warning in warnings if "in the rig's loop" in warning]
+        told_of = warnings(carry_out(read_design(text, "d.toml"), paper_plant()))
+        found = [warning for warning in told_of if "in the rig's loop" in warning]
         assert len(found) == (1 if told else 0), delay
         assert told in "".join(found)
 
@@ -115,14 +116,14 @@ def test_a_structure_without_an_integrator_is_named_where_the_weight_has_one() -
         design = carry_out(
             read_design(f'[controller]\nstructure = "{structure}"\n' + SHORT, "d.toml"), paper_plant()
         )
-        assert any("where the weight asks for" in warning for warning in design.warnings()) == named
+        assert any("where the weight asks for" in warning for warning in warnings(design)) == named
 
 
 def test_a_search_that_stops_too_early_is_told() -> None:
     few = read_design("[search]\ncontroller_evaluations = 2500\n", "d.toml")
-    (hint,) = carry_out(few, paper_plant()).hints()
+    (hint,) = hints(carry_out(few, paper_plant()))
     assert hint.startswith("the search of the controller was still gaining when its 2500 evaluations")
-    assert continuous_design().hints() == []
+    assert hints(continuous_design()) == []
 
 
 def test_plants_that_move_opposite_ways_are_named() -> None:
@@ -147,11 +148,11 @@ def test_progress_of_both_stages() -> None:
 
 
 def test_parameters_at_a_wall_of_their_box_are_told() -> None:
-    assert continuous_design().hints() == []
+    assert hints(continuous_design()) == []
     narrow = read_design(
         "[search]\nweight_evaluations = 300\n[controller.box]\nkp = { low = 1.0, high = 2.0 }\n",
         "design.toml",
     )
-    hints = carry_out(narrow, paper_plant()).hints()
-    assert hints[0].startswith("kp")
-    assert "of the controller: at a wall of the box" in hints[0]
+    told = hints(carry_out(narrow, paper_plant()))
+    assert told[0].startswith("kp")
+    assert "of the controller: at a wall of the box" in told[0]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from support.designs import continuous_design, reproduction, sampled_design
 
+from design.advice import warnings
 from design.comparison import Measures, eps_text, number_text, table_rows
 from design.measured import ModelFit
 from design.plant import TransferFunction
@@ -141,10 +142,10 @@ def test_low_margin_warns() -> None:
     design = sampled_design()
     first = replace(design.measures[0], eps_sampled=0.2)
     assert any(
-        "0.200 is under 0.25" in w for w in replace(design, measures=(first, *design.measures[1:])).warnings()
+        "0.200 is under 0.25" in w for w in warnings(replace(design, measures=(first, *design.measures[1:])))
     )
     weak = replace(design, weight=replace(design.weight, eps_opt=0.2))
-    assert any("ε_opt 0.200 is under 0.25" in w for w in weak.warnings())
+    assert any("ε_opt 0.200 is under 0.25" in w for w in warnings(weak))
 
 
 def test_infinities_and_instability_are_written_as_such() -> None:
