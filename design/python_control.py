@@ -30,10 +30,14 @@ def plant_to_control(
     import control
 
     names = {"name": plant.name, "inputs": "u", "outputs": "y"}
-    G = plant.transfer_function(sampling)
+    continuous = plant.transfer_function()
     if sampling is None:
-        return control.tf(G.num, G.den, **names)
-    return control.ss(*sampled(realise(G), sampling.period_s), sampling.period_s, **names)
+        return control.tf(*continuous, **names)
+    A, B, C, D = sampled(realise(plant.transfer_function(sampling)), sampling.period_s)
+    if sampling.delay_samples or len(continuous.num) < len(continuous.den):
+        # Exactly: a remainder of rounding would make an algebraic loop of every feedback.
+        D = np.zeros_like(D)
+    return control.ss(A, B, C, D, sampling.period_s, **names)
 
 
 def controller_to_control(controller: ControllerFile) -> control.StateSpace:

@@ -100,6 +100,27 @@ def test_the_reported_margin_is_the_norm_of_what_the_daemon_runs(index: int) -> 
     assert 1.0 / norm == pytest.approx(reported, rel=1e-7)
 
 
+@pytest.mark.parametrize("delay_samples", [0, 1, 3])
+def test_no_feedback_becomes_an_algebraic_loop(delay_samples: int) -> None:
+    """A light mode, whose polynomials leave a remainder of 1e-19 of a direct path."""
+    plant = Plant(
+        format="hil-plant",
+        version=1,
+        name="p",
+        input_unit="V",
+        output_unit="m",
+        num=[1.0],
+        den=[1.0, 0.02, 4.0],
+    )
+    G = plant_to_control(plant, Sampling(PERIOD_S, delay_samples))
+    assert G.D[0, 0] == 0.0
+    law = msgspec.structs.replace(read_controller(FILES["controller"], "c"), law=Pid(kp=0.1, ki=0.1))
+    loop = control.interconnect([G, controller_to_control(law)], inputs="r", outputs="y")
+    assert loop.nstates == 3 + delay_samples
+    biproper = msgspec.structs.replace(plant, num=[1.0, 0.0, 8.0])
+    assert plant_to_control(biproper, Sampling(PERIOD_S, 0)).D[0, 0] == pytest.approx(1.0)
+
+
 def test_setpoint_weights_cross_too() -> None:
     file = read_controller(FILES["controller"], "c")
     pid = Pid(kp=3.0, ki=2.0, kd=0.1, tau_d=0.05, b=0.4, c=0.0)
