@@ -32,6 +32,7 @@ ringing = st.tuples(
 @st.composite
 def responses(draw: st.DrawFn) -> Modes:
     modes = draw(st.lists(real, min_size=1, max_size=3)) + draw(st.lists(ringing, max_size=2))
+    assume(abs(sum(residue.real for _, residue in modes)) > 0.05)
     p, r = both(modes)
     apart = np.abs(p[:, None] - p[None, :]) + np.eye(len(p)) * np.abs(p)
     # Poles that nearly coincide have enormous residues: the given response would be rounding.
@@ -44,7 +45,8 @@ def responses(draw: st.DrawFn) -> Modes:
 def test_continuous(modes: Modes) -> None:
     loops, true = continuous_loop(modes), readings(modes)
     assume(loops.stable[0] and not true.knife_edge)
-    assert loops.overshoot[0] == pytest.approx(true.overshoot, abs=2e-4 * (1.0 + true.overshoot))
+    sizes = float(np.abs(both(modes)[1]).sum())
+    assert loops.overshoot[0] == pytest.approx(true.overshoot, abs=1e-4 * (1.0 + sizes))
     assert loops.settling_s[0] == pytest.approx(true.settling_s, rel=2e-3, abs=1e-5)
     assert loops.rise_s[0] == pytest.approx(true.rise_s, rel=5e-3, abs=1e-5)
 
@@ -57,7 +59,9 @@ def test_sampled(modes: Modes) -> None:
     p, r = both(modes)
     between = float((np.abs(r) * np.minimum(np.abs(p * PERIOD_S) ** 2 / 8.0, 1.0)).sum())
     assume(loops.stable[0] and not true.knife_edge and between < 2e-3)
-    assert loops.overshoot[0] == pytest.approx(true.overshoot, abs=between + 2e-4 * (1.0 + true.overshoot))
+    assert loops.overshoot[0] == pytest.approx(
+        true.overshoot, abs=between + 1e-4 * (1.0 + float(np.abs(r).sum()))
+    )
     period = 2.0 * np.pi / np.abs(p[np.abs(p.imag) > 0.0]).min(initial=1e9)
     assert loops.settling_s[0] == pytest.approx(true.settling_s, rel=2e-3, abs=PERIOD_S + period)
     assert loops.rise_s[0] == pytest.approx(true.rise_s, rel=5e-3, abs=2.0 * PERIOD_S)

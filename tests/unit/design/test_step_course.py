@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.signal
-from support.given_responses import ONE, Modes, continuous_loop, readings, sampled_loop
+from support.given_responses import ONE, Modes, both, continuous_loop, readings, sampled_loop
 from support.paper_loop import PERIOD_S
 
 from design.loops import Loops
@@ -142,3 +142,22 @@ def test_final_value_and_settling_with_a_near_integrator(b: float) -> None:
     r = np.polyval(num, poles) / (poles * np.polyval(np.polyder(den), poles))
     y = final + (r[None, :] * np.exp(np.outer(t, poles))).sum(axis=1).real
     assert loops.settling_s[0] == pytest.approx(t[np.abs(y / final - 1.0) > 0.02][-1], rel=1e-3)
+
+
+@pytest.mark.parametrize("excess", [-1e-3, -1e-5, 1e-5, 1e-3])
+def test_a_late_peak_that_touches_the_band_is_outside(excess: float) -> None:
+    """Within 2e-4 of the band's edge the later reading is given: never one that is too early."""
+    zeta, omega = 0.3, 2.0
+    root = np.sqrt(1.0 - zeta**2)
+    # The second peak of a response 1 + scale * (ringing) + rest lies at 2 % of it, but for the excess.
+    peak_s = 2.0 * np.pi / (omega * root)
+    height = np.exp(-zeta * omega * peak_s)
+    ringing = (complex(-zeta * omega, omega * root), complex(1.0, -zeta / root))
+    scale = 0.02 * (1.0 + excess) / height
+    modes: Modes = [ringing, (-20.0 + 0.0j, complex(1.0 / scale - 1.0))]
+    p, r = both(modes)
+    t = np.linspace(0.9 * peak_s, 1.1 * peak_s, 200_001)
+    top = np.abs((r[None, :] * np.exp(np.outer(t, p))).sum(axis=1).real).max()
+    assert top == pytest.approx(0.02 * (1.0 + excess), rel=1e-6)
+    settled_s = continuous_loop(modes).settling_s[0]
+    assert (settled_s > 0.9 * peak_s) == (excess > -2e-4)
