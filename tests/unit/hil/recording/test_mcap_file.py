@@ -169,6 +169,7 @@ def test_mcap_ros2_support_decodes_it(reader: McapReader) -> None:
     assert message.log_time == cycle.sent + EPOCH_OFFSET_NS
     ((_, event),) = decoded["/gateway/events"]
     assert (event.level, event.name, event.msg) == (20, "life cycle", "armed -> running (start)")
+    assert (event.file, event.function, event.line) == ("", "", 0)
     assert [content.data for _, content in decoded["/gateway/operator"]] == ["start", "stop"]
 
 

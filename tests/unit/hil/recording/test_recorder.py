@@ -30,7 +30,7 @@ from hil.events import Event, Severity
 from hil.frames import Frame
 from hil.recording import pipe
 from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
-from hil.recording.recorder import LINK_FAILED, Recorder, RecorderReport
+from hil.recording.recorder import BATCH_BYTES, LINK_FAILED, Recorder, RecorderReport
 
 
 @contextmanager
@@ -154,6 +154,48 @@ def test_what_was_handed_over_is_written_though_nothing_follows(tmp_path: Path) 
         wait_until(lambda: Recording(path).counts.get("/gateway/cycle", 0) >= handed_over - 2, "a chunk")
         recorder.close({})
     assert len(Recording(path).timing()) == handed_over + 1
+
+
+def batches_of(monkeypatch: pytest.MonkeyPatch, recorder: Recorder) -> list[int]:
+    """Sizes of the batches that are handed over from here on."""
+    sizes: list[int] = []
+    send = recorder._pipe.send
+
+    def noting(block: bytearray, kind: bytes) -> None:
+        sizes.append(len(block))
+        send(block, kind)
+
+    monkeypatch.setattr(recorder._pipe, "send", noting)
+    return sizes
+
+
+def test_a_batch_is_handed_over_when_it_is_old_enough(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Five a second: not one a period, which costs the loop, and no later, which a crash would cost."""
+    with in_memory(tmp_path / "run.mcap"):
+        recorder = Recorder(tmp_path / "run.mcap", RUN_HEADER, lossless=True)
+    record_periods(recorder, 1)
+    sizes = batches_of(monkeypatch, recorder)
+    record_periods(recorder, 18 * 50, first=1)
+    assert len(sizes) == 50, "18 periods are 0.2016 s"
+    assert max(sizes) < BATCH_BYTES
+
+
+def test_a_batch_is_handed_over_when_it_is_large_enough(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A babbling bus: hundreds of frames a period."""
+    with in_memory(tmp_path / "run.mcap"):
+        recorder = Recorder(tmp_path / "run.mcap", RUN_HEADER, lossless=True)
+    record_periods(recorder, 1)
+    sizes = batches_of(monkeypatch, recorder)
+    for number in range(1, 10):
+        for _ in range(1000):
+            recorder.frame_received(Frame(0x7F0), START_NS + number * PERIOD_NS, EPOCH_OFFSET_NS)
+        record_periods(recorder, 1, first=number)
+    assert len(sizes) == 9
+    assert min(sizes) >= BATCH_BYTES
 
 
 def test_a_recorder_that_falls_behind_costs_messages_that_are_counted(
