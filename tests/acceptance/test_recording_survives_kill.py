@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
+from support.patient_rig import write_patient_rig
 from support.recorded_runs import PERIOD_S, children_of
 
 from hil.links import Link, open_link
@@ -61,10 +62,22 @@ def running(path: Path) -> Iterator[Run]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         bus = f"udp:{probe.getsockname()[1]}"
-    python = [sys.executable, "-m"]
+    rig = write_patient_rig(path.with_name("rig.toml"))
+    on_bus = ["--rig", rig, "--bus", bus]
     with open_link(bus) as link:
-        boards = subprocess.Popen([*python, "firmware_sim", "--bus", bus], stdout=subprocess.DEVNULL)
-        command = [*python, "hil.cli", "run", "--bus", bus, "--duration", "600", "--record", str(path)]
+        command = [sys.executable, "-m", "firmware_sim", *on_bus]
+        boards = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        command = [
+            sys.executable,
+            "-m",
+            "hil.cli",
+            "run",
+            *on_bus,
+            "--duration",
+            "600",
+            "--record",
+            str(path),
+        ]
         gateway = subprocess.Popen(command)
         try:
             yield Run(gateway, boards, link)

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.patient_rig import STALE_PERIODS, WATCHDOG_PERIODS, write_patient_rig
 
-import hil as hil_package
 from firmware_sim.codec import Converter, decode_values
 from firmware_sim.linear_plant import LinearPlant
 from hil.events import Severity
@@ -35,8 +35,6 @@ PERIOD_NS, PERIOD_S = 11_200_000, 0.0112
 LSB_V = 10 / 4096
 STALL_S = 0.3
 """What a busy machine may add to any reaction; the exact limits are asserted in stepped time elsewhere."""
-STALE_PERIODS, WATCHDOG_PERIODS, HEARTBEAT_PERIODS = 40, 45, 180
-"""Limits that a machine which stalls for tens of milliseconds, as test machines do, does not reach."""
 CANDUMP_LINE = re.compile(r"\((\d+\.\d+)\) \w+ ([0-9A-F]+)#([0-9A-F]*)")
 TIMEOUT_S = 60
 STEPS = {"vertical": (0.1, 1, "ppid"), "horizontal": (0.05, 2, "ppid"), "rotation": (0.2, 3, "ppid_rad")}
@@ -64,17 +62,7 @@ def process(command: list[str], **options: object) -> Iterator[subprocess.Popen[
 @pytest.fixture
 def rig(tmp_path: Path) -> str:
     """A rig file with limits for a machine that stalls."""
-    text = (Path(hil_package.__file__).parent / "rig.toml").read_text()
-    for key, periods, places in (
-        ("stale_after_periods", STALE_PERIODS, 1),
-        ("watchdog_periods", WATCHDOG_PERIODS, 1),
-        ("heartbeat_timeout_periods", HEARTBEAT_PERIODS, 2),
-    ):
-        text, count = re.subn(rf"^{key} = \d+", f"{key} = {periods}", text, flags=re.MULTILINE)
-        assert count == places
-    path = tmp_path / "rig.toml"
-    path.write_text(text)
-    return str(path)
+    return write_patient_rig(tmp_path / "rig.toml")
 
 
 @pytest.fixture
