@@ -222,7 +222,7 @@ HOUR = 3_600_000 * MS
 
 
 @pytest.mark.parametrize(
-    ("steps", "taken_ms"),
+    ("steps", "expected_ms"),
     [
         ([(50 * MS, 0, 0), (11 * MS, 0, 0)], [50, 61]),
         ([(50 * MS, 40 * MS, 0), (0, 29 * MS, 0)], [10, 21]),
@@ -233,10 +233,43 @@ HOUR = 3_600_000 * MS
     ids=["at once", "after a stall", "never back", "wall clock set back", "wall clock set forward"],
 )
 def test_frames_are_taken_at_the_time_they_came(
-    steps: list[tuple[int, int, int]], taken_ms: list[int], monkeypatch: pytest.MonkeyPatch
+    steps: list[tuple[int, int, int]], expected_ms: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bus = SteppedBus(monkeypatch, steps)
-    start_ns, taken = bus.monotonic_ns, []
+    assert taken_ms(bus, bus.monotonic_ns) == expected_ms
+
+
+def test_a_stall_between_the_two_clocks_moves_no_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = SteppedBus(monkeypatch, [(50 * MS, 3 * MS, 0)])
+    start_ns, stalls = bus.monotonic_ns, [25 * MS, 25 * MS]
+
+    def late_ns() -> int:
+        bus.monotonic_ns += stalls.pop() if stalls and not bus.steps else 0
+        return bus.monotonic_ns + bus.wall_offset_ns
+
+    monkeypatch.setattr(cli, "time_ns", late_ns)
+    assert taken_ms(bus, start_ns) == [47]
+
+
+def test_a_stall_after_the_wait_for_a_deadline_makes_nothing_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    class StalledBus(SteppedBus):
+        has_stalled = False
+
+        def receive(self, timeout_s: float) -> Received | None:
+            if self.has_stalled:
+                return super().receive(timeout_s)
+            self.has_stalled = True
+            self.monotonic_ns += round(timeout_s * 1e9) + 30 * MS  # kept waiting after the time was up
+            return None
+
+    bus = StalledBus(monkeypatch, [(0, 20 * MS, 0)])
+    start_ns = bus.monotonic_ns
+    assert taken_ms(bus, start_ns) == [110]  # 10 ms after the boards' heartbeats were due
+
+
+def taken_ms(bus: SteppedBus, start_ns: int) -> list[float]:
+    """When frames are taken, after the start."""
+    taken = []
 
     class NotingRig(SimulatedRig):
         def receive(self, frame: Frame, now_ns: int) -> tuple[Frame, ...]:
@@ -245,7 +278,7 @@ def test_frames_are_taken_at_the_time_they_came(
 
     with pytest.raises(LinkError, match="over"):
         cli.simulate(NotingRig(RIG, HandPlant()), bus)
-    assert taken == taken_ms
+    return taken
 
 
 def test_without_the_right_to_a_priority_it_runs_all_the_same(
