@@ -40,7 +40,9 @@ class AxisLoops:
         self._valves = ValveCommands(
             [axis.valve for axis in rig.axes.values()], rig.loop.period_s, rig.dac.protected
         )
+        self._period_s = rig.loop.period_s
         self._began_ns: int | None = None
+        self._commanded_ns: int | None = None
 
     @property
     def signals(self) -> tuple[AxisSignals, ...]:
@@ -49,10 +51,10 @@ class AxisLoops:
 
     def begin_anew(self) -> None:
         """Let t = 0 be the next controlled period; every law takes over there without a bump."""
-        self._began_ns = None
+        self._began_ns = self._commanded_ns = None
 
-    def control(self, volts: Sequence[float], deadline_ns: int) -> AxisLoop | None:
-        """Run every law on its sample (V, in the rig's order) and limit its output.
+    def control(self, volts: Sequence[float], deadline_ns: int, now_ns: int) -> AxisLoop | None:
+        """Run every law on its sample (V, in the rig's order), which came ``now_ns``, and limit its output.
 
         ``deadline_ns`` is that of the period; setpoints are read at its time since the first controlled one.
         Returns the axis whose output is not finite, if there is one: then nothing may leave but the centre.
@@ -61,6 +63,9 @@ class AxisLoops:
         if self._began_ns is None:
             self._began_ns = deadline_ns
         t = (deadline_ns - self._began_ns) / 1e9
+        elapsed_s = self._period_s if self._commanded_ns is None else (now_ns - self._commanded_ns) / 1e9
+        self._valves.pace(elapsed_s)
+        self._commanded_ns = now_ns
         for index, (axis, measured) in enumerate(zip(self._axes, volts, strict=True)):
             r, y = axis.setpoint(t), axis.position(measured)
             if is_first:

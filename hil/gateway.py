@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from hil.axis_loops import AxisLoops
 from hil.events import Cycle, Event, Moderator, Output, Severity
 from hil.frames import Frame
-from hil.guards import SampleGuard, Unasked
+from hil.guards import NOT_ALONE, SampleGuard, Unasked
 from hil.laws import ControlLaw
 from hil.life_cycle import OPERATOR_TRIGGERS, State, Trigger, allowed_triggers, next_state
 from hil.rig import Rig
@@ -40,6 +40,15 @@ OWN_IDENTIFIERS = {
     codec.HEARTBEAT_GATEWAY: "HEARTBEAT_GATEWAY",
 }
 """What only the gateway sends: the same from elsewhere is a second master on the bus."""
+
+COMMANDS_TO_BOARDS = {
+    0x320: "RPDO2 to the DAC board",
+    0x420: "RPDO3 to the DAC board",
+    0x520: "RPDO4 to the DAC board",
+    0x600 + DAC_NODE: "SDO to the DAC board",
+    0x600 + ADC_NODE: "SDO to the ADC board",
+}
+"""What could move a valve, or change a board, behind the gateway's back: none while it is armed."""
 
 _SYNC_FRAME = Frame(codec.SYNC)
 _NOTHING = Output()
@@ -81,10 +90,15 @@ class Gateway:
         self._has_sample = True
         self._stale_periods = 0
         self._last_rejection = ""
-        self._reported_identifiers: set[int] = set()
+        self._reported: set[Frame] = set()
+        """Frames without their data that were told once."""
         self._moderator = Moderator()
         self._started_boards: set[str] = set()
         """Those sent an NMT start in this period: one is enough, whatever their heartbeats say."""
+
+    @property
+    def _boards_are_fit(self) -> bool:
+        return self._adc.is_fit and self._dac.is_fit
 
     @property
     def lost_samples(self) -> int:
@@ -116,7 +130,13 @@ class Gateway:
         # A command that centres the valves, as every change of state may, never waits for its SYNC.
         is_settled = self.state is self._state_before and self.state is not State.FAULT
         self._state_before = self.state
-        if self._guard.begin_period(now_ns, may_wait=is_settled):
+        late_ns = now_ns - deadline_ns
+        if is_settled and late_ns > self._period_ns // 2:
+            # The next SYNC would follow too soon: valves would move by two periods' steps at once.
+            self.missed_periods += 1
+            text = f"woke {late_ns / 1e6:.1f} ms late: this period passes without SYNC"
+            events.extend(self._tell(Severity.WARNING, "loop", text).events)
+        elif self._guard.begin_period(now_ns, may_wait=is_settled):
             frames.append(_SYNC_FRAME)
         elif self.state is not State.OFFLINE:
             text = "a period without SYNC, to tell late from lost"
@@ -147,6 +167,9 @@ class Gateway:
             return self._receive_emergency(self._dac, data)
         if identifier in OWN_IDENTIFIERS:
             return self._receive_foreign(frame)
+        if identifier in COMMANDS_TO_BOARDS and self.state in (State.ARMED, State.RUNNING):
+            text = f"{COMMANDS_TO_BOARDS[identifier]}, frame {frame}: another master commands this bus"
+            return self._fault("bus", text)
         return self._report_unexpected(frame)
 
     def operate(self, trigger: Trigger, now_ns: int) -> Output:
@@ -180,6 +203,8 @@ class Gateway:
         checked = self._guard.check(data, now_ns)
         if self._guard.lost != lost_before:
             self._report_lost(lost_before, events)
+        if self._guard.surplus > 0 and self.state is State.READY and not isinstance(checked, Unasked):
+            checked = Unasked(f"TPDO1_ADC: more answers than SYNCs: {NOT_ALONE}")
         if isinstance(checked, Unasked):
             self.rejected_frames += 1
             unasked: list[Frame] = []
@@ -191,11 +216,11 @@ class Gateway:
         self._stale_periods = 0
         self._last_rejection = ""
         frames: tuple[Frame, ...] = ()
-        if self.state is State.OFFLINE and self._adc.is_up and self._dac.is_up:
+        if self.state is State.OFFLINE and self._boards_are_fit and self._guard.surplus == 0:
             self._enter(Trigger.BOARDS_UP, events)
         if self.state is not State.RUNNING:
             self._loops.observe(checked)
-        elif (culprit := self._loops.control(checked, self._deadline_ns)) is None:
+        elif (culprit := self._loops.control(checked, self._deadline_ns, now_ns)) is None:
             frames = (self._loops.command(),)
         else:
             r, y, _, u, _, _ = culprit.signals
@@ -263,11 +288,16 @@ class Gateway:
             return self._reject(f"EMCY of {board.name} has {len(data)} bytes, not {codec.EMCY_ADC_LENGTH}")
         emergency = codec.decode_emcy_adc(data)
         if emergency.error_code == 0:
+            board.error = None
             return self._tell(Severity.INFO, board.name, "EMCY: no error")
         text = describe_emergency(emergency.error_code, emergency.error_register, data[3:])
-        if self.state in (State.ARMED, State.RUNNING):
-            return self._fault(board.name, text)
-        return self._tell(Severity.WARNING, board.name, text)
+        board.error = text
+        frames: list[Frame] = []
+        events: list[Event] = []
+        if self.state is State.FAULT:
+            return self._tell(Severity.WARNING, board.name, text)
+        self._lose(board.name, text, frames, events)
+        return Output(tuple(frames), tuple(events))
 
     def _receive_unusual(self, frame: Frame) -> Output:
         if frame.is_error:
@@ -279,16 +309,18 @@ class Gateway:
 
     def _receive_foreign(self, frame: Frame) -> Output:
         """A frame that only the gateway sends: a fault; in state fault reported once an identifier."""
-        if self.state is State.FAULT and frame.id in self._reported_identifiers:
+        kind = frame._replace(data=b"")
+        if self.state is State.FAULT and kind in self._reported:
             return _NOTHING
-        self._reported_identifiers.add(frame.id)
+        self._reported.add(kind)
         text = f"foreign {OWN_IDENTIFIERS[frame.id]} frame {frame}: another master commands this bus"
         return self._fault("bus", text)
 
     def _report_unexpected(self, frame: Frame) -> Output:
-        if frame.id in self._reported_identifiers or len(self._reported_identifiers) >= MOST_REPORTED:
+        kind = frame._replace(data=b"")
+        if kind in self._reported or len(self._reported) >= MOST_REPORTED:
             return _NOTHING
-        self._reported_identifiers.add(frame.id)
+        self._reported.add(kind)
         text = f"frame {frame} is not in arm.dbc; further ones of its identifier are ignored in silence"
         return Output(events=(Event(Severity.WARNING, "bus", text),))
 

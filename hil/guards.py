@@ -4,9 +4,11 @@ Fresh is what answers the last SYNC, within a period. A board counts its answers
 SYNC that it answers if none was lost; where a later SYNC is then still unanswered, the answer is late, or the
 board missed a SYNC. No SYNC leaves until the next answer would have come, a period later even than that: if
 none does, a SYNC was lost. Then, as in the beginning, one SYNC at once is under way until an answer has come
-in time, so that a link slower than a period never looks fresh. Later, boards without a counter are judged by
-age. A board that counts more answers than it was asked for, or says two things under one number, is not
-alone.
+in time, so that a link slower than a period never looks fresh. Of a board without a counter every SYNC that
+is not answered in its period is followed by such a wait.
+
+A board gives one answer to a SYNC. More answers, or two things said under one number, say that the board is
+not alone.
 
 A rejected sample is reported with its reason and counts as none. Nothing here decides what a missing sample
 means: the gateway does.
@@ -24,6 +26,13 @@ FARTHEST_STEP = 127
 """Of the counter: beyond it, it went back."""
 FIRST_ANSWER_PERIODS = 5
 """No answer is waited for longer, and a link that takes longer is not told from one that answers in time."""
+UNCOUNTED_ANSWER_PERIODS = 3
+"""The same of a board without a counter, once it has answered in time."""
+
+
+MOST_SURPLUS = 3
+"""A board that answers twice in so many periods is two."""
+NOT_ALONE = "another node sends it too, perhaps one of the same node id"
 
 
 class Unasked(str):
@@ -45,29 +54,42 @@ class SampleGuard:
         self._data = b""
         self._is_matched = False
         """Whether it is known which SYNC an answer belongs to."""
+        self._has_matched = False
+        """Whether it once was, since the board started."""
         self._unanswered: deque[int] = deque(maxlen=FARTHEST_STEP)
         """When the SYNCs left that have no answer, if every answer so far belongs to the oldest."""
         self._late_answer_ns: int | None = None
         """How long after its SYNC the last answer came, where that was not the last SYNC."""
         self.lost = 0
         """Frames that the counter says were sent and did not come, or not intact."""
+        self._owed = 0
+        self._has_surplus = False
+        self.surplus = 0
+        """Periods with more intact answers than SYNCs, whatever they count, less the periods without."""
 
     def forget(self) -> None:
         """Expect any counter next: the board has restarted. What was asked before may still be answered."""
         self._counter = None
-        self._is_matched = False
+        self._is_matched = self._has_matched = False
         self._late_answer_ns = None
 
     def begin_period(self, now_ns: int, may_wait: bool) -> bool:
         """Whether SYNC leaves now: not while an earlier one may be answered yet, unless it may not wait."""
+        if not self._has_surplus:
+            self.surplus = max(self.surplus - 1, 0)
+        self._has_surplus = False
         if self._awaits_answer(now_ns) and may_wait:
             return False
         self._unanswered.append(now_ns)
+        self._owed = min(self._owed + 1, FIRST_ANSWER_PERIODS)
         return True
 
     def _awaits_answer(self, now_ns: int) -> bool:
         unanswered = self._unanswered
         longest_ns = FIRST_ANSWER_PERIODS * self._period_ns
+        if not self._protected and self._has_matched:
+            longest_ns = UNCOUNTED_ANSWER_PERIODS * self._period_ns
+            self._is_matched = self._is_matched and not unanswered
         if not self._is_matched:
             while unanswered and now_ns - unanswered[0] >= longest_ns:
                 unanswered.popleft()
@@ -90,6 +112,10 @@ class SampleGuard:
             crc = crc8_j1850(data[:7])
             if crc != data[7]:
                 return f"TPDO1_ADC: CRC 0x{data[7]:02X}, computed 0x{crc:02X}"
+        self._count()
+        if self.surplus >= MOST_SURPLUS:
+            return Unasked(f"TPDO1_ADC: {MOST_SURPLUS} periods with more answers than SYNCs: {NOT_ALONE}")
+        if self._protected:
             if self._counter is not None:
                 step = (data[6] - self._counter) & 0xFF
                 complaint = self._counter_complaint(data, step)
@@ -112,7 +138,7 @@ class SampleGuard:
                 f"TPDO1_ADC: {age_ns / 1e6:.2f} ms after SYNC exceeds {self._period_ns / 1e6:g} ms "
                 "(rig: loop.period_s)"
             )
-        self._is_matched = True
+        self._is_matched = self._has_matched = True
         sample = codec.decode_tpdo1_adc(data if self._protected else data + b"\0\0")
         volts = [sample[channel] for channel, _, _, _ in self._channels]
         for value, (_, lowest, highest, axis) in zip(volts, self._channels, strict=True):
@@ -123,13 +149,18 @@ class SampleGuard:
                 )
         return volts
 
+    def _count(self) -> None:
+        """Set an intact answer against the SYNCs."""
+        if self._owed > 0:
+            self._owed -= 1
+        elif not self._has_surplus:
+            self._has_surplus = True
+            self.surplus = min(self.surplus + 1, 2 * MOST_SURPLUS)
+
     def _counter_complaint(self, data: bytes, step: int) -> str:
         counter = data[6]
         if step == 0 and not self._unanswered and data != self._data:
-            return Unasked(
-                f"TPDO1_ADC: counter {counter} came twice, with other values: another node sends it too, "
-                "under the same node id"
-            )
+            return Unasked(f"TPDO1_ADC: counter {counter} came twice, with other values: {NOT_ALONE}")
         if step == 0:
             return f"TPDO1_ADC: counter {counter} repeated"
         if step > FARTHEST_STEP:
@@ -138,8 +169,8 @@ class SampleGuard:
             before, awaited = self._counter, len(self._unanswered)
             self.forget()
             return Unasked(
-                f"TPDO1_ADC: counter {counter} after {before}, but {awaited} SYNC unanswered: another node "
-                f"sends it too, or the board sends unasked, or later than {FIRST_ANSWER_PERIODS} periods"
+                f"TPDO1_ADC: counter {counter} after {before}, but {awaited} SYNC unanswered: {NOT_ALONE}, "
+                f"or the board sends unasked, or later than {FIRST_ANSWER_PERIODS} periods"
             )
         return ""
 

@@ -23,7 +23,9 @@ class ValveCommands:
 
     def __init__(self, valves: Sequence[Valve], period_s: float, protected: bool) -> None:
         self._centres = tuple(valve.centre_v for valve in valves)
-        self._steps = tuple(valve.max_rate_v_s * period_s for valve in valves)
+        self._rates = tuple(valve.max_rate_v_s for valve in valves)
+        self._period_s = period_s
+        self._paced_s = period_s
         self._lowest = tuple(math.ceil(v.min_v / VOLTS_PER_COUNT) * VOLTS_PER_COUNT for v in valves)
         self._highest = tuple(math.floor(v.max_v / VOLTS_PER_COUNT) * VOLTS_PER_COUNT for v in valves)
         self._channels = tuple(valve.channel - 1 for valve in valves)
@@ -36,13 +38,20 @@ class ValveCommands:
         """Centre every valve, at once."""
         self.volts = list(self._centres)
 
+    def pace(self, elapsed_s: float) -> None:
+        """Let the commands that follow change by what their rates allow in ``elapsed_s``, a period at most.
+
+        ``elapsed_s`` is the time since the commands before: a late one gives those after it no more room.
+        """
+        self._paced_s = min(max(elapsed_s, 0.0), self._period_s)
+
     def command(self, index: int, offset_v: float) -> float:
         """Ask valve ``index`` for ``offset_v`` volts from its centre; returns the offset that is allowed.
 
         ``offset_v`` must be finite: the caller faults on anything else before it comes here.
         """
         wanted = self._centres[index] + offset_v
-        before, step = self.volts[index], self._steps[index]
+        before, step = self.volts[index], self._rates[index] * self._paced_s
         allowed = min(max(wanted, before - step), before + step)
         allowed = min(max(allowed, self._lowest[index]), self._highest[index])
         self.volts[index] = allowed

@@ -81,16 +81,25 @@ class BoardWatch:
         self._timeout_key = timeout_key
         self._last_ns: int | None = None
         self.nmt_state: int | None = None
+        self.error: str | None = None
+        """The last EMCY in words, until the board says that no error is left, or starts anew."""
 
     @property
     def is_up(self) -> bool:
         """Whether its last heartbeat says operational and is not overdue."""
         return self.nmt_state == NmtState.OPERATIONAL
 
+    @property
+    def is_fit(self) -> bool:
+        """Whether it is up and has no error left."""
+        return self.is_up and self.error is None
+
     def heartbeat(self, nmt_state: int, now_ns: int) -> Frame | None:
         """Take a heartbeat; returns the NMT command that starts the board where it is not operational."""
         self._last_ns = now_ns
         self.nmt_state = nmt_state
+        if nmt_state == NmtState.BOOT_UP:
+            self.error = None
         if nmt_state == NmtState.OPERATIONAL:
             return None
         return Frame(codec.NMT, codec.encode_nmt(NMT_START, self.node_id))
@@ -112,6 +121,7 @@ class BoardWatch:
         if self.nmt_state is None:
             return "silent"
         try:
-            return NmtState(self.nmt_state).name.lower().replace("_", "-")
+            state = NmtState(self.nmt_state).name.lower().replace("_", "-")
         except ValueError:
-            return f"in unknown NMT state {self.nmt_state}"
+            state = f"in unknown NMT state {self.nmt_state}"
+        return state if self.error is None else f"{state}, in error: {self.error}"

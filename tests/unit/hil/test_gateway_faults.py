@@ -12,6 +12,7 @@ import pytest
 from helpers import (
     ADC_BOOT,
     ADC_UP,
+    AXES,
     DAC_BOOT,
     DAC_UP,
     SYNC,
@@ -30,7 +31,7 @@ from firmware_sim.faults import AdcFaults, DacFaults
 from hil.controller_file import Pid, TransferFunction
 from hil.events import Event, Output, Severity
 from hil.frames import Frame
-from hil.gateway import BUS_OFF, MOST_REPORTED
+from hil.gateway import BUS_OFF, COMMANDS_TO_BOARDS, MOST_REPORTED
 from hil.guards import FIRST_ANSWER_PERIODS
 from hil.life_cycle import State, Trigger
 from hil.wire import codec
@@ -307,6 +308,50 @@ class TestLateDeadlines:
         assert cycle.axes[0].setpoint == 0.04
 
 
+class TestVeryLateWake:
+    """Over half a period late, the next SYNC would follow too soon."""
+
+    def test_the_period_passes_without_sync_and_is_told(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.period()
+        output = gateway.deadline(late_ns=PERIOD_NS // 2 + 1)
+        assert SYNC not in output.frames
+        assert texts(output) == ["loop: woke 5.6 ms late: this period passes without SYNC"]
+        assert gateway.core.missed_periods == 1
+        assert SYNC in gateway.deadline().frames
+        assert len(commands(gateway.sample())) == 1
+
+    def test_half_a_period_is_served(self) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.period()
+        assert SYNC in gateway.deadline(late_ns=PERIOD_NS // 2).frames
+        assert gateway.core.missed_periods == 0
+
+    @pytest.mark.parametrize("trigger", [Trigger.STOP, None])
+    def test_a_command_that_centres_does_not_wait(self, trigger: Trigger | None) -> None:
+        gateway = hand(State.RUNNING)
+        gateway.period()
+        if trigger:
+            gateway.operate(trigger)
+        else:
+            gateway.core.link_failed("test")
+        assert SYNC in gateway.deadline(late_ns=PERIOD_NS - 1).frames
+
+    def test_a_late_command_gives_the_next_no_more_room(self) -> None:
+        """At 100 V/s: 1.12 V a period, and for 0.6 of a period 0.672 V."""
+        gateway = hand(State.RUNNING, **{f"axes__{name}__valve__max_rate_v_s": "100.0" for name in AXES})
+        core = gateway.core._loops._axes
+        for axis in core:
+            axis.law.output = lambda r, y: 4.0  # type: ignore[method-assign]
+        gateway.period()
+        gateway.deadline(late_ns=0)
+        (late,) = commands(gateway.sample(after_ns=5_480_000))
+        assert late == pytest.approx((7.24,) * 3, abs=1e-3)
+        gateway.deadline()
+        (after,) = commands(gateway.sample(after_ns=1_000_000))
+        assert after == pytest.approx((7.24 + 0.672,) * 3, abs=1e-3)
+
+
 class TestHeartbeatLoss:
     @pytest.mark.parametrize("board", ["adc", "dac"])
     @pytest.mark.parametrize("state", [State.ARMED, State.RUNNING])
@@ -487,9 +532,24 @@ class TestEmergencies:
     @pytest.mark.parametrize("state", [State.OFFLINE, State.READY])
     def test_before_it_is_a_warning(self, state: State) -> None:
         gateway = hand(state)
-        (event,) = gateway.give(emergency(codec.EMCY_DAC, 0x1000, 0x01)).events
+        event, *_ = gateway.give(emergency(codec.EMCY_DAC, 0x1000, 0x01)).events
         assert event == Event(Severity.WARNING, "dac", "EMCY 0x1000 (generic error), error register 0x01")
-        assert gateway.state is state
+        assert gateway.state is State.OFFLINE
+
+    @pytest.mark.parametrize(("identifier", "boot"), [(codec.EMCY_ADC, ADC_BOOT), (codec.EMCY_DAC, DAC_BOOT)])
+    @pytest.mark.parametrize("is_restarted", [True, False])
+    def test_a_board_in_error_is_not_ready_until_it_says_that_none_is_left(
+        self, identifier: int, boot: Frame, is_restarted: bool
+    ) -> None:
+        gateway = hand(State.READY)
+        gateway.give(emergency(identifier, 0x2310))
+        gateway.periods(20)
+        assert gateway.state is State.OFFLINE
+        (refusal,) = texts(gateway.operate(Trigger.ARM))
+        assert "operational, in error: EMCY 0x2310 (current at the device's output)" in refusal
+        gateway.give(boot if is_restarted else emergency(identifier, 0, 0))
+        gateway.periods(FIRST_ANSWER_PERIODS + 1)
+        assert gateway.state is State.READY
 
     def test_what_the_vendor_adds_is_told(self) -> None:
         gateway = hand(State.RUNNING)
@@ -539,6 +599,24 @@ class TestForeignMaster:
             f"bus: foreign {name} frame {FOREIGN[name]}: another master commands this bus"
         ]
         assert commands(output) == [CENTRED]
+
+    @pytest.mark.parametrize("identifier", COMMANDS_TO_BOARDS)
+    def test_commands_to_the_boards_from_elsewhere_are_a_fault_once_armed(self, identifier: int) -> None:
+        frame = Frame(identifier, bytes(8))
+        for state in (State.OFFLINE, State.READY):
+            gateway = hand(state)
+            assert "is not in arm.dbc" in texts(gateway.give(frame))[0]
+            assert gateway.state is state
+        for state in (State.ARMED, State.RUNNING):
+            gateway = hand(state)
+            said = gateway.give(frame)
+            assert commands(said) == [CENTRED]
+            assert faults(said)[0].endswith("another master commands this bus")
+
+    def test_a_stranger_of_their_number_hides_none(self) -> None:
+        gateway = hand(State.FAULT)
+        gateway.give(Frame(0x080, is_extended=True))
+        assert len(texts(gateway.give(FOREIGN["SYNC"]))) == 1
 
     @pytest.mark.parametrize("data", [b"", b"\0", bytes(8)])
     def test_whatever_they_carry(self, data: bytes) -> None:
@@ -890,8 +968,8 @@ class TestWhichSync:
         output = gateway.give(twin)
         assert commands(output) == [CENTRED]
         assert faults(output) == [
-            "adc: TPDO1_ADC: counter 1 came twice, with other values: another node sends it too, under the "
-            "same node id"
+            "adc: TPDO1_ADC: counter 1 came twice, with other values: another node sends it too, perhaps one "
+            "of the same node id"
         ]
 
     def test_the_same_frame_twice_is_no_fault(self) -> None:
@@ -901,6 +979,52 @@ class TestWhichSync:
         gateway.counter -= 1
         assert commands(gateway.sample()) == []
         assert gateway.state is State.RUNNING
+
+    @pytest.mark.parametrize("protected", ["true", "false"])
+    @pytest.mark.parametrize("is_first", [True, False])
+    @pytest.mark.parametrize("ahead", [0, -40])
+    def test_one_that_answers_as_well_is_a_fault_whatever_it_counts(
+        self, protected: str, is_first: bool, ahead: int
+    ) -> None:
+        gateway = hand(State.RUNNING, adc__protected=protected, **PATIENT)
+        gateway.periods(3)
+        for number in range(4):
+            assert gateway.state is State.RUNNING, number
+            gateway.deadline()
+            other = sample_frame((5.0, 5.0, 5.0), gateway.counter + ahead, protected=protected == "true")
+            if is_first:
+                gateway.give(other)
+            gateway.sample()
+            if not is_first:
+                gateway.give(other)
+            if gateway.state is State.FAULT:
+                break
+        assert number == 2
+        assert str(gateway.core.fault_reason).startswith(
+            "adc: TPDO1_ADC: 3 periods with more answers than SYNCs: another node sends it too"
+        )
+
+    def test_a_frame_that_comes_twice_now_and_then_is_none(self) -> None:
+        gateway = hand(State.RUNNING)
+        for _ in range(40):
+            gateway.period()
+            gateway.counter -= 1
+            gateway.sample()
+            gateway.period()
+        assert gateway.state is State.RUNNING
+
+    def test_two_boards_from_the_beginning_are_never_ready_when_an_operator_could_arm(self) -> None:
+        gateway = hand()
+        for _ in range(100):
+            output = gateway.deadline()
+            assert gateway.state is State.OFFLINE
+            gateway.give(ADC_UP, DAC_UP)
+            if SYNC in output.frames:
+                gateway.sample()
+                gateway.counter -= 1
+                gateway.sample()
+        gateway.periods(FIRST_ANSWER_PERIODS + 7)
+        assert gateway.state is State.READY
 
     def test_nor_is_it_heard_before_the_boards_own_sample(self) -> None:
         gateway = hand(State.RUNNING)
