@@ -33,7 +33,7 @@ _MOST_READINGS = 10
 class Bus(Protocol):
     """What the boards hang on: a ``hil.links.Link`` or a ``SerialDevice``."""
 
-    def send(self, frame: Frame) -> None: ...  # noqa: D102
+    def send(self, frame: Frame) -> object: ...  # noqa: D102
     def receive(self, timeout_s: float) -> Received | None: ...  # noqa: D102
     def close(self) -> None: ...  # noqa: D102
 

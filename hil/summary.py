@@ -85,6 +85,8 @@ class Summary:
     frames_sent: int
     frames_dropped: int | None
     """Received by this machine and lost in it, since the loop did not take them in time. None: not known."""
+    frames_unreadable: int | None
+    """Discarded by the link, since they were no sound classic frames."""
     frames_not_sent: int | None
     """Refused by the bus, whose queue was full."""
     frames_rejected: int | None
@@ -117,10 +119,11 @@ def summarise(recording: Recording) -> Summary:
         name: _axis_summary(recording.axis(name), unit, recording) for name, unit in recording.axes.items()
     }
     ending = recording.metadata.get("ending", {})
-    dropped, not_sent, rejected, lost, error_frames = (
+    dropped, unreadable, not_sent, rejected, lost, error_frames = (
         int(ending[key]) if ending.get(key, "").isdecimal() else None
         for key in (
             "frames dropped by the kernel",
+            "frames unreadable",
             "frames not sent",
             "rejected frames",
             "lost samples",
@@ -137,6 +140,7 @@ def summarise(recording: Recording) -> Summary:
         frames_received=counts["/can/rx"],
         frames_sent=counts["/can/tx"],
         frames_dropped=dropped,
+        frames_unreadable=unreadable,
         frames_not_sent=not_sent,
         frames_rejected=rejected,
         samples_lost=lost,
@@ -271,6 +275,7 @@ def _losses(summary: Summary) -> Text:
 
     counted = (
         (summary.frames_dropped, "frame", "dropped on arrival"),
+        (summary.frames_unreadable, "frame", "unreadable"),
         (summary.frames_not_sent, "frame", "not sent"),
         (summary.frames_rejected, "frame", "rejected"),
         (summary.samples_lost, "sample", "lost"),

@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -60,15 +61,20 @@ def run_realtime(
         display = Display(axes)
         stack.callback(display.close)
         with real_time_rights() as rights:
+            most_refused = setup.rig.adc.stale_after_periods
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
-            session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display)
+            session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display, most_refused)
             session.note(Event(Severity.INFO, "rights", str(rights)))
-            run(session, link, stop)
+            error = run(session, link, stop)
         ending = _ending(plan, gateway) | {
             "frames dropped by the kernel": _dropped(link),
+            "frames unreadable": str(link.unreadable),
             "frames not sent": str(link.send_failures),
         }
-        return recorder.close({"rights": rights.as_metadata(), "ending": ending})
+        metadata = {"rights": rights.as_metadata(), "ending": ending}
+        if error is not None:
+            metadata["error"] = {"traceback": "".join(traceback.format_exception(error))}
+        return recorder.close(metadata)
 
 
 def run_lockstep(

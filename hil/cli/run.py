@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -25,12 +26,13 @@ if TYPE_CHECKING:
     from firmware_sim.scenario import Scenario
 
 DEFAULT_DURATION_S = 10.0
+TRACEBACK_VARIABLE = "HIL_TRACEBACK"
 LINEAR_CONTROLLERS = {"m": "ppid", "rad": "ppid_rad"}
 """What the paper designed for eq. (15), by unit."""
 
 
 def main(argv: list[str]) -> int:
-    """Run, then tell how it went. 0: completed or interrupted; 1: fault, no boards, or a lost link."""
+    """Run, then tell how it went. 0: completed or interrupted; 1: it ended otherwise, or is not recorded."""
     options = _parser().parse_args(argv)
     check_plant_options(options)
     scenario, scenario_text = _scenario(options)
@@ -122,10 +124,11 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
     if report.failure:
         lost = sum(report.dropped.values())
         console.print(f"recording: {report.failure}; {lost} messages were not recorded", style="red")
-    fault = ""
+    fault = trace = ""
     try:
         recording = Recording(report.path)
         fault = recording.metadata.get("ending", {}).get("fault", "")
+        trace = recording.metadata.get("error", {}).get("traceback", "")
         console.print(summarise(recording).table())
         console.print(f"recording  {report.path}  (opens in Foxglove and PlotJuggler)")
         picture = picture_of(report.path)
@@ -148,6 +151,14 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
         )
     else:
         console.print(f"ended by {plan.ending}: {fault}", style="red")
+    if plan.ending is Ending.ERROR:
+        console.print(
+            "That is a mistake of hil or of a library that it uses. Please report it to its maintainers with "
+            f"the recording, whose metadata holds the traceback ({TRACEBACK_VARIABLE}=1 prints it here).",
+            style="red",
+        )
+        if os.environ.get(TRACEBACK_VARIABLE):
+            sys.stderr.write(trace)
     return 1
 
 

@@ -7,6 +7,7 @@ Does not live here: what the frames mean.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
@@ -30,6 +31,13 @@ FORMS: Final = """\
   udp:43113                    UDP multicast inside this host, by port number
   inproc:NAME                  inside this process"""
 
+LAST_ID: Final = 0x7FF
+LAST_EXTENDED_ID: Final = 0x1FFF_FFFF
+MOST_DISCARDED: Final = 32
+"""Messages that a call discards beyond its time limit: own frames, say, before the one that waits."""
+
+_FARTHEST_S: Final = 1e12
+"""No stamp lies farther from 1970; nor does one that is no number."""
 _BUFFER_BYTES: Final = 1 << 20
 _SO_RCVBUFFORCE: Final = 33
 _SO_MEMINFO: Final = 55
@@ -61,14 +69,16 @@ class Link:
         self._bus: can.BusABC | None = bus
         self.stamp_origin: Origin = origin
         """Of every frame that this link receives."""
+        self.unreadable = 0
+        """What arrived and was no sound classic frame, since the link was opened."""
         self._full = 0
-        self._unreadable = 0
+        self._dropped_before = 0
         self._name = os.urandom(8).hex()
         self._message = Message
         self._error = CanError
 
-    def send(self, frame: Frame) -> None:
-        """Hand ``frame`` to the bus; one that a full queue refuses is counted, never waited for.
+    def send(self, frame: Frame) -> bool:
+        """Hand ``frame`` to the bus; False: a full queue refused it, which is counted, never waited for.
 
         Raises LinkError when the bus is gone.
         """
@@ -88,42 +98,40 @@ class Link:
             if (cause and cause.errno) not in _FULL:
                 raise _failure(self.spec, "cannot send", cause, error) from None
             self._full += 1
+            return False
+        return True
 
     def receive(self, timeout_s: float) -> Received | None:
         """The next frame, or None when none came within ``timeout_s`` seconds (0: do not wait).
 
-        Raises LinkError when the bus is gone.
+        Own frames and unreadable ones are discarded, but never for longer than that and ``MOST_DISCARDED``
+        more: what babbles on the bus does not keep the caller. Raises LinkError when the bus is gone.
         """
         bus = self._opened()
         end = time.monotonic() + timeout_s
-        while True:
+        discarded_late = 0
+        while discarded_late < MOST_DISCARDED:
             try:
                 message = bus.recv(0)
+            except self._error as error:
+                cause = _cause(error)
+                if cause is not None:
+                    raise _failure(self.spec, "cannot receive", cause, error) from None
+                self.unreadable += 1
+            else:
                 if message is None:
                     left = end - time.monotonic()
                     if left <= 0:
                         return None
                     select.select([bus], [], [], left)
                     continue
-            except self._error as error:
-                cause = _cause(error)
-                if cause is None:
-                    self._unreadable += 1
-                    continue
-                raise _failure(self.spec, "cannot receive", cause, error) from None
-            if message.channel == self._name:
-                continue
-            if message.is_fd or (not message.is_remote_frame and len(message.data) != message.dlc):
-                self._unreadable += 1
-                continue
-            frame = Frame(
-                message.arbitration_id,
-                bytes(message.data),
-                message.is_extended_id,
-                message.is_remote_frame,
-                message.is_error_frame,
-            )
-            return Received(frame, round(message.timestamp * 1e9), self.stamp_origin)
+                if message.channel != self._name:
+                    if _is_sound(message):
+                        return Received(_frame(message), round(message.timestamp * 1e9), self.stamp_origin)
+                    self.unreadable += 1
+            if time.monotonic() >= end:
+                discarded_late += 1
+        return None
 
     @property
     def send_failures(self) -> int:
@@ -131,12 +139,21 @@ class Link:
         return self._full + getattr(self._bus, "refused", 0)
 
     def dropped(self) -> int:
-        """Frames that arrived and were lost: the kernel's queue was full, or they were no classic frames."""
+        """Frames that arrived and were lost because the kernel's queue was full."""
         bus = self._opened()
         if not hasattr(bus, "socket"):
-            return self._unreadable
+            return self._dropped_before
         raw = bus.socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 64)
-        return self._unreadable + int.from_bytes(raw[_SK_MEMINFO_DROPS * 4 :][:4], "little")
+        return self._dropped_before + int.from_bytes(raw[_SK_MEMINFO_DROPS * 4 :][:4], "little")
+
+    def reopen(self) -> None:
+        """Leave the bus and join it again; counts go on. Raises LinkError, and is then closed."""
+        with contextlib.suppress(LinkError, OSError):
+            self._dropped_before = self.dropped()
+        self._full = self.send_failures
+        self.close()
+        again = open_link(self.spec)
+        self._bus, again._bus = again._bus, None
 
     def fileno(self) -> int:
         """For select: readable when frames came. Then call ``receive(0)`` until it returns None."""
@@ -232,6 +249,31 @@ def _open_slcan(spec: str, device: str, baud: int) -> Link:
     except (CanError, OSError, ValueError) as error:
         raise _failure(spec, "cannot be opened", _cause(error), error) from None
     return Link(spec, bus, "user")
+
+
+def _is_sound(message: can.Message) -> bool:
+    """Whether it is a classic frame whose every part has its type and range: a stranger may send anything."""
+    identifier, data = message.arbitration_id, message.data
+    highest = LAST_EXTENDED_ID if message.is_extended_id or message.is_error_frame else LAST_ID
+    return (
+        not message.is_fd
+        and isinstance(identifier, int)
+        and 0 <= identifier <= highest
+        and len(data) <= 8
+        and (bool(message.is_remote_frame) or len(data) == message.dlc)
+        and isinstance(message.timestamp, int | float)
+        and abs(message.timestamp) < _FARTHEST_S
+    )
+
+
+def _frame(message: can.Message) -> Frame:
+    return Frame(
+        int(message.arbitration_id),
+        bytes(message.data),
+        bool(message.is_extended_id),
+        bool(message.is_remote_frame),
+        bool(message.is_error_frame),
+    )
 
 
 def _size_buffers(sock: socket.socket) -> None:

@@ -47,7 +47,10 @@ class DeadlineCalled(NamedTuple):
 
 
 class Operated(NamedTuple):
-    """The core was given an operator's command, or told of a link failure (``recorder.LINK_FAILED``)."""
+    """The core was given an operator's command, or told of a failure (``recorder.LINK_FAILED``).
+
+    Or, as an answer, a frame that the bus did not take (``recorder.NOT_SENT``).
+    """
 
     now_ns: int
     command: str

@@ -30,10 +30,12 @@ from hil.recording.handover import (
 from hil.recording.pipe import RecorderPipe
 from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, layout_of
 
-__all__ = ["LINK_FAILED", "Recorder", "RecorderReport", "RunHeader"]
+__all__ = ["LINK_FAILED", "NOT_SENT", "Recorder", "RecorderReport", "RunHeader"]
 
 LINK_FAILED = "link failed: "
 """How a link's failure stands among the operator's commands: this, then the reason."""
+NOT_SENT = "not sent: "
+"""How a frame that the bus did not take stands there, in its place among the answers."""
 
 BATCH_BYTES = 32 * 1024
 BATCH_AGE_NS = 200_000_000
@@ -99,15 +101,15 @@ class Recorder:
         A stamp outside ROS time cannot be recorded, and stands as 0.
         """
         identifier, data, is_extended, is_remote, is_error = frame
-        self._sequence += 1
         if not 0 <= stamp_ns < ROS_TIME_END_NS:
             stamp_ns = 0
         seconds, nanoseconds = divmod(stamp_ns, _SECOND_NS)
         self._batch += self._pack_frame(
-            self._received, self._sequence & SEQUENCE_MASK, now_ns + self._epoch_offset_ns, stamp_ns,
+            self._received, (self._sequence + 1) & SEQUENCE_MASK, now_ns + self._epoch_offset_ns, stamp_ns,
             CDR_HEADER, seconds, nanoseconds, self._bus,
             identifier, is_remote, is_extended, is_error, len(data), data,
         )  # fmt: skip
+        self._sequence += 1
 
     def frame_sent(self, frame: Frame, now_ns: int) -> None:
         """The core answered with ``frame``, which left at ``now_ns``."""

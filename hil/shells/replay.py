@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from hil import __version__
-from hil.errors import RecordingError, ReplayMismatchError
+from hil.errors import HilError, RecordingError, ReplayMismatchError
 from hil.events import AxisSignals, Event, Output
 from hil.frames import Frame
 from hil.gateway import Gateway
@@ -29,7 +29,7 @@ from hil.recording.reader import (
     Operated,
     Recording,
 )
-from hil.recording.recorder import LINK_FAILED
+from hil.recording.recorder import LINK_FAILED, NOT_SENT
 from hil.run_setup import RunSetup, setup_from_texts
 
 ROUNDING = 1e-9
@@ -103,11 +103,13 @@ def _replay(recording: Recording, gateway: Gateway) -> ReplayReport:
         if number == 1:
             began_ns = now_ns
         at = f"{(now_ns - began_ns) / 1e9:.6f} s, message {number}"
-        if isinstance(entry, FrameReceived | DeadlineCalled | Operated):
-            link_failed = isinstance(entry, Operated) and entry.command.startswith(LINK_FAILED)
-            if answers and not link_failed:  # a failing link took the rest of an answer with it
+        if isinstance(entry, FrameReceived | DeadlineCalled) or (
+            isinstance(entry, Operated) and not entry.command.startswith(NOT_SENT)
+        ):
+            has_failed = isinstance(entry, Operated) and entry.command.startswith(LINK_FAILED)
+            if answers and not has_failed:  # an error within an answer took the rest of it
                 raise ReplayMismatchError(f"{at}: {_difference(None, answers[0])}")
-            answers = deque(_answers(_give(gateway, entry, at), axes))
+            answers = deque(_given(gateway, entry, axes, at))
             calls += 1
         elif answers or not isinstance(entry, EventTold):  # between answers, the shell has its say
             difference = _difference(_recorded(entry), answers.popleft() if answers else None)
@@ -126,6 +128,18 @@ def _replay(recording: Recording, gateway: Gateway) -> ReplayReport:
     )
 
 
+def _given(
+    gateway: Gateway, call: FrameReceived | DeadlineCalled | Operated, axes: tuple[str, ...], at: str
+) -> list[Answer]:
+    """What the core answers to a recorded call: an error, too, where it fails as it did then."""
+    try:
+        return list(_answers(_give(gateway, call, at), axes))
+    except HilError:
+        raise
+    except Exception as error:
+        return [{"error": f"{type(error).__name__}: {error}"}]
+
+
 def _give(gateway: Gateway, call: FrameReceived | DeadlineCalled | Operated, at: str) -> Output:
     """Make one recorded call; returns what the core gives."""
     if isinstance(call, FrameReceived):
@@ -137,7 +151,7 @@ def _give(gateway: Gateway, call: FrameReceived | DeadlineCalled | Operated, at:
             )
         return gateway.on_deadline(call.now_ns)
     if call.command.startswith(LINK_FAILED):
-        return gateway.link_failed(call.command.removeprefix(LINK_FAILED))._replace(frames=())
+        return gateway.link_failed(call.command.removeprefix(LINK_FAILED))
     try:
         trigger = Trigger(call.command)
     except ValueError:
@@ -163,6 +177,8 @@ def _recorded(entry: Entry) -> Answer:
     match entry:
         case FrameSent():
             return {"frame": entry.frame}
+        case Operated(_, command):
+            return {"frame": command.removeprefix(NOT_SENT)}
         case EventTold():
             return {"event": entry.event}
         case AxisRecorded(_, name, wake_ns, signals, state, fresh):
@@ -201,6 +217,8 @@ def _difference(recorded: Answer | None, given: Answer | None) -> str:
 
 
 def _same(name: str, recorded: object, given: object) -> bool:
+    if isinstance(recorded, str) and isinstance(given, Frame):  # one that was not sent
+        return recorded == str(given)
     if not isinstance(recorded, float) or not isinstance(given, float):
         return recorded == given
     if recorded == given or (math.isnan(recorded) and math.isnan(given)):

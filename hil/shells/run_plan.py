@@ -19,6 +19,7 @@ class Ending(StrEnum):
     FAULT = "fault"
     NO_BOARDS = "boards did not come up"
     LINK = "link failed"
+    ERROR = "internal error"
 
 
 class StopRequest:
@@ -55,10 +56,16 @@ class RunPlan:
             self.ending = ending
             self._last_periods = CENTRING_PERIODS
 
+    def fail(self, ending: Ending) -> None:
+        """End the run at once; only a fault that came before stays the reason."""
+        if self.ending is not Ending.FAULT:
+            self.ending = ending
+        self._last_periods = 0
+
     def after_period(self, gateway: Gateway) -> Trigger | None:
         """Count a period that has begun; returns what the operator asks for now."""
         self._periods += 1
-        if self._last_periods is not None:
+        if self._last_periods:
             self._last_periods -= 1
         if gateway.state is State.FAULT:
             self.end(Ending.FAULT)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from hil.events import Cycle, Event, Output
+from hil.errors import LinkError
+from hil.events import Cycle, Event, Moderator, Output, Severity
 from hil.frames import Frame
 from hil.gateway import Gateway
 from hil.life_cycle import Trigger
-from hil.recording.recorder import LINK_FAILED, Recorder
+from hil.recording.recorder import LINK_FAILED, NOT_SENT, Recorder
 from hil.shells.run_plan import Ending, RunPlan
+from hil.wire.codec import RPDO1_DAC
 
 
 class Audience(Protocol):
@@ -21,16 +23,21 @@ class Audience(Protocol):
 
 
 class Session:
-    """One run: the core, the bus it sends on, its recording and its audience."""
+    """One run: the core, the bus it sends on, its recording and its audience.
+
+    ``send`` says whether the bus took the frame. After ``most_refused`` valve commands in a row that it did
+    not take (None: never), the link counts as failed: the valves hold meanwhile.
+    """
 
     def __init__(
         self,
         gateway: Gateway,
         plan: RunPlan,
-        send: Callable[[Frame], None],
+        send: Callable[[Frame], bool],
         clock_ns: Callable[[], int],
         recorder: Recorder,
         audience: Audience,
+        most_refused: int | None = None,
     ) -> None:
         self.gateway = gateway
         self.plan = plan
@@ -38,6 +45,11 @@ class Session:
         self._clock_ns = clock_ns
         self._recorder = recorder
         self._audience = audience
+        self._most_refused = most_refused
+        self._refused = self._refused_in_row = 0
+        self._moderator = Moderator()
+        self.commands_taken = 0
+        """Valve commands that the bus took, since the run began or ``failed`` was called."""
 
     def on_deadline(self, now_ns: int) -> None:
         """Begin a period, then let the plan act."""
@@ -58,12 +70,16 @@ class Session:
         self._recorder.operated(trigger.value, now_ns)
         self._answer(self.gateway.operate(trigger, now_ns), now_ns)
 
-    def link_failed(self, reason: str) -> None:
-        """Tell the core that the bus is gone, and end the run; what the core answers cannot leave."""
+    def failed(self, ending: Ending, reason: str) -> None:
+        """Tell the core that the link, or this program, failed: it centres the valves, and the run is over.
+
+        What an unfinished answer had not given yet is lost. Raises LinkError where nothing can leave.
+        """
         now_ns = self._clock_ns()
-        self.plan.end(Ending.LINK)
+        self.plan.fail(ending)
+        self.commands_taken = self._refused_in_row = 0
         self._recorder.operated(LINK_FAILED + reason, now_ns)
-        self._answer(self.gateway.link_failed(reason)._replace(frames=()), now_ns)
+        self._answer(self.gateway.link_failed(reason), now_ns)
 
     def note(self, event: Event) -> None:
         """Record and show something that the shell has to say."""
@@ -74,10 +90,20 @@ class Session:
         frames, events, cycle = output
         recorder = self._recorder
         computed_ns = sent_ns = self._clock_ns()
+        failure: LinkError | None = None
+        refused_before = self._refused
         for frame in frames:
-            self._send(frame)
+            try:
+                is_taken = self._send(frame)
+            except LinkError as error:
+                is_taken, failure = False, failure or error
+            else:
+                self._count(frame, is_taken)
             sent_ns = self._clock_ns()
-            recorder.frame_sent(frame, sent_ns)
+            if is_taken:
+                recorder.frame_sent(frame, sent_ns)
+            else:
+                recorder.operated(f"{NOT_SENT}{frame}", sent_ns)
         for event in events:
             recorder.event(event, now_ns)
             self._audience.event(event)
@@ -87,3 +113,25 @@ class Session:
             news = recorder.hand_over()
             if news is not None:
                 self._audience.event(news)
+        if self._refused != refused_before and self._moderator.lets("refused"):
+            text = f"the bus took no frame, its queue is full: {self._refused} frames not sent so far"
+            self.note(Event(Severity.WARNING, "link", text))
+        if failure is None and self._most_refused is not None and self._refused_in_row >= self._most_refused:
+            failure = LinkError(
+                f"{self._refused_in_row} valve commands in a row were not sent, limit {self._most_refused} "
+                "(rig: adc.stale_after_periods): the bus' queue stays full; is another node there to "
+                "acknowledge, and is the cable whole?"
+            )
+        if failure is not None:
+            raise failure
+
+    def _count(self, frame: Frame, is_taken: bool) -> None:
+        """Keep account of what the bus takes."""
+        is_command = frame.id == RPDO1_DAC
+        if is_taken:
+            if is_command:
+                self.commands_taken += 1
+                self._refused_in_row = 0
+            return
+        self._refused += 1
+        self._refused_in_row += is_command

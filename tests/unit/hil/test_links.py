@@ -1,17 +1,31 @@
 """The links that need no kernel CAN. SocketCAN passes the same contract in tests/vcan."""
 
+import os
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
+import can
+import msgpack
 import pytest
+from can.interfaces.udp_multicast.utils import pack_message
+from hypothesis import given
+from hypothesis import strategies as st
 from support.lawicel_adapters import TwoAdapters
 from support.link_contract import ErrorFramesToo, LinkContract, Pair, arrived
 
 from hil.errors import LinkError
 from hil.frames import Frame
-from hil.links import FORMS, open_link
+from hil.links import (
+    FORMS,
+    LAST_EXTENDED_ID,
+    LAST_ID,
+    MOST_DISCARDED,
+    Link,
+    Received,
+    open_link,
+)
 
 
 def free_port() -> int:
@@ -72,11 +86,11 @@ class TestUdp(LinkContract, ErrorFramesToo):
         _, receiver = pair
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
-            for strange in (b"", b"\x01", b"hello", b"\x81\xa2id\x01"):
+            for strange in (b"", b"\x01", b"hello", b"\x81\xa2id\x01", STRANGE_IDENTIFIER):
                 stranger.sendto(strange, ("239.74.163.2", port))
         pair[0].send(Frame(0x42))
         assert arrived(receiver) == Frame(0x42)
-        assert receiver.dropped() == 4
+        assert (receiver.unreadable, receiver.dropped()) == (5, 0)
 
     def test_can_fd_frames_are_counted_and_skipped(self, pair: Pair) -> None:
         import can
@@ -85,7 +99,7 @@ class TestUdp(LinkContract, ErrorFramesToo):
         sender._opened().send(can.Message(arbitration_id=1, is_fd=True, data=bytes(64)))
         sender.send(Frame(0x42))
         assert arrived(receiver) == Frame(0x42)
-        assert receiver.dropped() == 1
+        assert (receiver.unreadable, receiver.dropped()) == (1, 0)
 
     def test_ports_separate_buses(self, pair: Pair) -> None:
         with open_link(f"udp:{free_port()}") as apart:
@@ -226,10 +240,11 @@ class TestSlcan(LinkContract):
         _, receiver = pair
         adapters.other.outgoing.append(
             b"t12\rtXYZ0\rt1238AABB\rT12\r\xff\xfe\rt\xff\rV1013\r" + bytes(300) + b"\r"
+            b"t-10105\rt810105\rT2000000000\rr8000\r"
         )
         pair[0].send(Frame(0x42))
         assert arrived(receiver) == Frame(0x42)
-        assert receiver.dropped() == 5
+        assert (receiver.unreadable, receiver.dropped()) == (9, 0)
 
     def test_an_unplugged_adapter_is_a_link_error(self, pair: Pair, adapters: TwoAdapters) -> None:
         link, _ = pair
@@ -260,6 +275,149 @@ class TestSlcan(LinkContract):
     def test_an_adapter_has_one_user(self, pair: Pair, adapters: TwoAdapters) -> None:
         with pytest.raises(LinkError, match="another program uses it"):
             open_link(f"slcan:{adapters.one.device}")
+
+
+class Babbling:
+    """A bus on which a message is read in ``takes_s``, and the next waits already."""
+
+    def __init__(self, message: can.Message | Exception, takes_s: float) -> None:
+        self.message, self.takes_s = message, takes_s
+        self.now_s = 100.0
+        self.read = 0
+
+    def recv(self, _timeout_s: float) -> can.Message | None:
+        self.read += 1
+        self.now_s += self.takes_s
+        if isinstance(self.message, Exception):
+            raise self.message
+        return self.message
+
+
+OWN = "own"
+DISCARDED = [
+    can.CanOperationError("not a Lawicel frame"),
+    can.Message(arbitration_id=1, is_fd=True, data=bytes(64)),
+    can.Message(arbitration_id=-1),
+    can.Message(arbitration_id=1, channel=OWN),
+]
+"""A message of each kind that a link discards."""
+
+
+class TestDiscarded:
+    @pytest.fixture
+    def clock(self, monkeypatch: pytest.MonkeyPatch) -> Callable[[Babbling], Link]:
+        def link_to(bus: Babbling) -> Link:
+            monkeypatch.setattr("hil.links.time.monotonic", lambda: bus.now_s)
+            link = Link("test", bus, "user")  # type: ignore[arg-type]
+            link._name = OWN
+            return link
+
+        return link_to
+
+    @pytest.mark.parametrize("message", DISCARDED, ids=str)
+    @pytest.mark.parametrize("timeout_s", [0.0, 0.011])
+    def test_a_call_returns_in_time_whatever_babbles(
+        self, clock: Callable[[Babbling], Link], message: can.Message | Exception, timeout_s: float
+    ) -> None:
+        bus = Babbling(message, takes_s=20e-6)
+        link = clock(bus)
+        assert link.receive(timeout_s) is None
+        assert timeout_s <= bus.now_s - 100.0 <= timeout_s + (MOST_DISCARDED + 1) * 20e-6
+        is_own = isinstance(message, can.Message) and message.channel == OWN
+        assert link.unreadable == (0 if is_own else bus.read)
+
+    def test_own_frames_do_not_hide_what_waits_behind_them(self, clock: Callable[[Babbling], Link]) -> None:
+        """A gateway that is late asks with no time to wait: the answer behind its own SYNC must come."""
+        bus = Babbling(DISCARDED[-1], takes_s=20e-6)
+        link = clock(bus)
+        own_frames = MOST_DISCARDED - 1
+
+        def recv(timeout_s: float) -> can.Message | None:
+            return Babbling.recv(bus, timeout_s) if bus.read < own_frames else can.Message(arbitration_id=2)
+
+        bus.recv = recv  # type: ignore[method-assign]
+        received = link.receive(0)
+        assert received is not None
+        assert received.frame == Frame(2, is_extended=True)
+
+
+WHOLE_LINES = [b"t19084000400040001A5", b"t710105", b"T1ABCDEF02AABB", b"r1230", b"R1ABCDEF00"]
+ANY_LINE = st.one_of(
+    st.binary(max_size=40),
+    st.text("0123456789abcdefABCDEFtTrR+-_ .", max_size=30).map(str.encode),
+    st.builds(
+        lambda line, place, byte: line[:place] + byte + line[place + 1 :],
+        st.sampled_from(WHOLE_LINES), st.integers(0, 20), st.binary(max_size=2),
+    ),
+)  # fmt: skip
+ANYTHING = st.one_of(
+    st.none(), st.booleans(), st.integers(-(2**63), 2**64 - 1), st.floats(), st.text(max_size=4),
+    st.binary(max_size=70), st.lists(st.integers(-1, 256), max_size=9),
+)  # fmt: skip
+MESSAGE_KEYS = [
+    "arbitration_id", "is_extended_id", "is_remote_frame", "is_error_frame", "channel", "dlc", "data",
+    "is_fd", "bitrate_switch", "error_state_indicator", "timestamp", "check", "is_rx",
+]  # fmt: skip
+STRANGE_IDENTIFIER = msgpack.packb(
+    {"arbitration_id": 1.5, "data": b"", "dlc": 0, "is_extended_id": False}, use_bin_type=True
+)
+
+
+def assert_sound(received: Received) -> None:
+    """What the gateway may be given, and a recording can hold."""
+    frame = received.frame
+    assert 0 <= frame.id <= (LAST_EXTENDED_ID if frame.is_extended or frame.is_error else LAST_ID)
+    assert [type(value) for value in frame] == [int, bytes, bool, bool, bool]
+    assert len(frame.data) <= 8
+    assert type(received.stamp_ns) is int
+
+
+@pytest.fixture(scope="module")
+def serial_line() -> Iterator[tuple[Link, int]]:
+    with TwoAdapters() as adapters, open_link(f"slcan:{adapters.one.device}") as link:
+        adapters.pause()
+        yield link, adapters.one.line
+        adapters.resume()
+
+
+@pytest.fixture(scope="module")
+def multicast() -> Iterator[tuple[Link, Callable[[bytes], None]]]:
+    port = free_port()
+    with (
+        open_link(f"udp:{port}") as link,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        yield link, lambda data: stranger.sendto(data, ("239.74.163.2", port)) and None
+
+
+class TestWhateverArrives:
+    """Nothing but sound frames comes out of a link, and nothing is raised."""
+
+    @given(lines=st.lists(ANY_LINE, max_size=8))
+    def test_on_a_serial_line(self, serial_line: tuple[Link, int], lines: list[bytes]) -> None:
+        link, line = serial_line
+        os.write(line, b"".join(text + b"\r" for text in lines) + b"\rt7ED0\r")
+        while (received := link.receive(5)) is not None and received.frame != Frame(0x7ED):
+            assert_sound(received)
+        assert received is not None, "the last frame was not received"
+
+    @given(
+        datagrams=st.lists(
+            st.one_of(
+                st.binary(max_size=80),
+                st.dictionaries(st.sampled_from(MESSAGE_KEYS), ANYTHING).map(msgpack.packb),
+            ),
+            max_size=8,
+        )
+    )
+    def test_on_udp(self, multicast: tuple[Link, Callable[[bytes], None]], datagrams: list[bytes]) -> None:
+        link, send = multicast
+        for datagram in [*datagrams, pack_message(can.Message(arbitration_id=0x7ED, is_extended_id=False))]:
+            send(datagram)
+        while (received := link.receive(5)) is not None and received.frame != Frame(0x7ED):
+            assert_sound(received)
+        assert received is not None, "the last frame was not received"
 
 
 NO_BUSES = [

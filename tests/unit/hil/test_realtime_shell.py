@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,24 +13,26 @@ import pytest
 
 from firmware_sim.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
-from hil.errors import LinkError
+from hil.errors import LinkError, ReplayMismatchError
 from hil.events import Cycle, Event, Severity
 from hil.frames import Frame
 from hil.gateway import Gateway
+from hil.guards import SampleGuard
 from hil.life_cycle import State
 from hil.links import Received
-from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Recording
-from hil.recording.recorder import Recorder, RunHeader
+from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
+from hil.recording.recorder import NOT_SENT, Recorder, RunHeader
 from hil.run_setup import RunSetup, load_setup
 from hil.shells import realtime
 from hil.shells.replay import verify
-from hil.shells.run_plan import Ending, RunPlan, StopRequest
+from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
 from hil.shells.session import Session
 from hil.wire import codec
 
 PERIOD_NS = 11_200_000
 LATENCY_NS = 400_000
 RUN_S = 1.0
+MOST_REFUSED = 5
 
 
 class Clock:
@@ -38,6 +41,9 @@ class Clock:
 
     def __call__(self) -> int:
         return self.now_ns
+
+    def sleep(self, duration_s: float) -> None:
+        self.now_ns += round(duration_s * 1e9)
 
 
 class LinkToBoards:
@@ -58,12 +64,19 @@ class LinkToBoards:
         """After so many SYNC frames, waiting in vain takes so much longer than it should."""
         self.babble_at_sync: dict[int, int] = {}
         """After so many SYNC frames, so many frames that nobody knows."""
-        self.sent = self.received = self.syncs = 0
+        self.mended_by_reopening = 10**9
+        """Opened anew so often, a link that fails works again."""
+        self.refuses: Callable[[Frame], bool] = lambda _frame: False
+        self.unreadable_at: dict[int, int] = {}
+        """After so many received frames, so many that cannot be read."""
+        self.sent = self.received = self.syncs = self.reopened = self.unreadable = 0
         self._push(self._boards.start(clock.now_ns))
 
-    def send(self, frame: Frame) -> None:
-        if self.sent == self.fails_after_sent:
+    def send(self, frame: Frame) -> bool:
+        if self.sent == self.fails_after_sent and self.reopened < self.mended_by_reopening:
             raise LinkError("cannot send: unplugged")
+        if self.refuses(frame):
+            return False
         self.sent += 1
         self._clock.now_ns += self.send_takes_ns
         self._push(self._boards.receive(frame, self._clock.now_ns))
@@ -72,8 +85,15 @@ class LinkToBoards:
             self._push((Frame(0x7F0),) * self.babble_at_sync.get(self.syncs, 0))
             self._clock.now_ns += self.stall_at_sync_ns.get(self.syncs, 0)
         self._clock.now_ns += self.stall_ns.get(self.sent, 0)
+        return True
+
+    def reopen(self) -> None:
+        self.reopened += 1
+        if self.reopened < self.mended_by_reopening:
+            raise LinkError("cannot be opened: unplugged")
 
     def receive(self, timeout_s: float) -> Received | None:
+        self.unreadable += self.unreadable_at.pop(self.received, 0)
         if self.received == self.fails_after_received:
             raise LinkError("cannot receive: unplugged")
         end_ns = self._clock.now_ns + max(round(timeout_s * 1e9), 0)
@@ -113,25 +133,29 @@ class Bench:
         self.stop = StopRequest()
         self.plan = RunPlan(RUN_S, PERIOD_NS / 1e9)
         self.audience = Audience()
-        self._path = folder / "run.mcap"
+        self.path = folder / "run.mcap"
         texts = {name: ("text/plain", text.encode()) for name, text in self.setup.texts.items()}
         setpoints = {name: setpoint.text for name, setpoint in self.setup.setpoints.items()}
         axes = tuple((name, axis.unit) for name, axis in self.setup.rig.axes.items())
         header = RunHeader(10**18, "test", "kernel", axes, texts, {"setpoints": setpoints})
-        self._recorder = Recorder(self._path, header, lossless=True)
+        self._recorder = Recorder(self.path, header, lossless=True)
         self.gateway = self.setup.gateway(clock.now_ns + PERIOD_NS)
-        self.session = Session(self.gateway, self.plan, self.link.send, clock, self._recorder, self.audience)
+        self.session = Session(
+            self.gateway, self.plan, self.link.send, clock, self._recorder, self.audience, MOST_REFUSED
+        )
+        self.error: Exception | None = None
 
     def run(self) -> Recording:
-        realtime.run(self.session, self.link, self.stop)  # type: ignore[arg-type]
+        self.error = realtime.run(self.session, self.link, self.stop)  # type: ignore[arg-type]
         assert self._recorder.close({}).failure is None
-        return Recording(self._path)
+        return Recording(self.path)
 
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     clock = Clock()
     monkeypatch.setattr(realtime, "monotonic_ns", clock)
+    monkeypatch.setattr(realtime, "sleep", clock.sleep)
     yield Bench(tmp_path, clock)
 
 
@@ -225,8 +249,171 @@ def test_a_link_that_fails_to_receive_ends_the_run_and_still_verifies(bench: Ben
     bench.link.fails_after_received = 50
     recording = bench.run()
     assert bench.plan.ending is Ending.LINK
-    assert [event.text for event in bench.audience.events][-2] == "cannot receive: unplugged"
+    assert bench.gateway.fault_reason == "link: cannot receive: unplugged"
+    assert commands(recording)[-1] == (5.0, 5.0, 5.0)
     assert verify(recording).frames_compared == bench.link.sent
+
+
+@pytest.mark.parametrize("at", range(100, 106))
+def test_a_link_that_works_again_when_opened_anew_centres_the_valves(bench: Bench, at: int) -> None:
+    bench.link.fails_after_sent = at
+    bench.link.mended_by_reopening = 4
+    recording = bench.run()
+    assert bench.plan.ending is Ending.LINK
+    assert bench.link.reopened == 4
+    assert commands(recording)[-CENTRING_PERIODS:] == [(5.0, 5.0, 5.0)] * CENTRING_PERIODS
+    assert bench.audience.events[-1].text == "the valves were centred: the command left 3 times"
+    assert verify(recording).frames_compared == bench.link.sent > at
+
+
+def test_a_link_that_stays_away_leaves_the_valves_to_the_watchdog(bench: Bench) -> None:
+    bench.link.fails_after_sent = 100
+    recording = bench.run()
+    assert bench.audience.events[-1] == Event(
+        Severity.ERROR,
+        "link",
+        "the command that centres the valves left 0 times, not 3: the DAC board's watchdog has to centre "
+        "them (rig: dac.watchdog_periods)",
+    )
+    tried_for_ns = bench.clock.now_ns - next(
+        ns for ns, e in recording.events() if e.severity is Severity.FATAL
+    )
+    assert 0 <= tried_for_ns - realtime.CENTRING_PATIENCE_NS < 2 * PERIOD_NS
+
+
+def test_a_link_that_fails_while_a_completed_run_ends_is_no_success(bench: Bench) -> None:
+    """The last frames of a run are those that centre the valves."""
+
+    def refuses(_frame: Frame) -> bool:
+        if bench.plan.ending is Ending.COMPLETED:
+            raise LinkError("cannot send: unplugged")
+        return False
+
+    bench.link.refuses = refuses
+    recording = bench.run()
+    assert bench.plan.ending is Ending.LINK
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+def refused(recording: Recording) -> int:
+    return sum(isinstance(c, Operated) and c.command.startswith(NOT_SENT) for c in recording.calls())
+
+
+def test_a_frame_that_a_full_queue_refuses_is_not_recorded_as_sent(bench: Bench) -> None:
+    """It is told, and the run goes on: at the next period the command is another."""
+    asked: list[Frame] = []
+
+    def refuses(frame: Frame) -> bool:
+        asked.append(frame)
+        number = sum(one.id == codec.RPDO1_DAC for one in asked)
+        return frame.id == codec.RPDO1_DAC and number in (40, 41, 43, 60)
+
+    bench.link.refuses = refuses
+    recording = bench.run()
+    assert bench.plan.ending is Ending.COMPLETED
+    assert refused(recording) == 4
+    assert len(asked) == bench.link.sent + 4
+    told = [event.text for event in bench.audience.events if event.source == "link"]
+    assert told[0].startswith("the bus took no frame, its queue is full: ")
+    assert told[-1].endswith("4 frames not sent so far")
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+def test_a_frame_recorded_as_not_sent_is_compared_too(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench.link.refuses = lambda frame: frame.id == codec.HEARTBEAT_GATEWAY
+    monkeypatch.setattr(Frame, "__str__", lambda frame: f"{frame.id:03X}#")
+    recording = bench.run()
+    monkeypatch.undo()
+    with pytest.raises(ReplayMismatchError, match=r"recorded frame 701#, the core sends 701#05"):
+        verify(recording)
+
+
+def test_commands_refused_in_a_row_are_a_failed_link(bench: Bench) -> None:
+    """The valves would hold for good, and the plant run away."""
+    bench.link.refuses = lambda frame: bench.link.syncs > 60 and frame.id == codec.RPDO1_DAC
+    recording = bench.run()
+    assert bench.plan.ending is Ending.LINK
+    assert bench.gateway.fault_reason is not None
+    assert bench.gateway.fault_reason.startswith(
+        "link: 5 valve commands in a row were not sent, limit 5 (rig: adc.stale_after_periods)"
+    )
+    assert bench.link.syncs < 60 + MOST_REFUSED + realtime.CENTRING_PATIENCE_NS // PERIOD_NS + 3
+    assert refused(recording) > MOST_REFUSED
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+def test_unreadable_frames_are_told_when_their_number_has_doubled(bench: Bench) -> None:
+    bench.link.unreadable_at = {20: 1, 30: 1, 40: 1, 50: 7, 60: 1}
+    recording = bench.run()
+    told = [event.text for _, event in recording.events() if event.source == "link"]
+    assert [text.split()[0] for text in told] == ["1", "2", "10"]
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+class TestAnInternalError:
+    """Wherever it comes from, it is a FATAL event, and the valves are centred."""
+
+    def check(self, bench: Bench, error: type[Exception]) -> None:
+        recording = bench.run()
+        assert isinstance(bench.error, error)
+        assert bench.plan.ending is Ending.ERROR
+        assert commands(recording)[-CENTRING_PERIODS:] == [(5.0, 5.0, 5.0)] * CENTRING_PERIODS
+        told = recording.events()[-1][1]
+        assert told.severity is Severity.FATAL
+        assert told.text == f"internal error, the run was ended: {error.__name__}: {bench.error}"
+        assert verify(recording).frames_compared == bench.link.sent
+
+    def test_of_the_link(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+        receive = bench.link.receive
+
+        def failing(timeout_s: float) -> Received | None:
+            if bench.link.received == 100:
+                raise KeyError("channel")
+            return receive(timeout_s)
+
+        monkeypatch.setattr(bench.link, "receive", failing)
+        self.check(bench, KeyError)
+
+    def test_of_the_recorder(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+        received = bench.link.receive
+
+        def strange(timeout_s: float) -> Received | None:
+            message = received(timeout_s)
+            if message is None or bench.link.received != 100:
+                return message
+            return message._replace(frame=Frame(1.5))  # type: ignore[arg-type]
+
+        monkeypatch.setattr(bench.link, "receive", strange)
+        self.check(bench, struct.error)
+
+    def test_of_the_core_which_replay_repeats(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+        check = SampleGuard.check
+
+        def failing(guard: SampleGuard, data: bytes, now_ns: int) -> list[float] | str:
+            if data[6] == 50:
+                raise ZeroDivisionError("float division by zero")
+            return check(guard, data, now_ns)
+
+        monkeypatch.setattr(SampleGuard, "check", failing)
+        self.check(bench, ZeroDivisionError)
+        monkeypatch.undo()
+        with pytest.raises(ReplayMismatchError, match="the core sends"):
+            verify(Recording(bench.path))
+
+    def test_of_a_send_within_an_answer(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+        send = bench.link.send
+
+        def failing(frame: Frame) -> bool:
+            if bench.link.sent == 101:
+                bench.link.sent += 1
+                raise TypeError("an integer is required")
+            return send(frame)
+
+        monkeypatch.setattr(bench.session, "_send", failing)
+        recording = bench.run()
+        assert isinstance(bench.error, TypeError)
+        assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+        assert verify(recording).frames_compared == bench.link.sent - 1
 
 
 def test_a_command_is_sent_when_the_link_has_taken_it(bench: Bench) -> None:

@@ -199,6 +199,7 @@ def test_the_table_fits_a_terminal_and_shows_what_the_dict_holds(tmp_path: Path)
 
 LOSSES = {
     "frames dropped by the kernel": "frames_dropped",
+    "frames unreadable": "frames_unreadable",
     "frames not sent": "frames_not_sent",
     "rejected frames": "frames_rejected",
     "lost samples": "samples_lost",
