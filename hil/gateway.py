@@ -105,6 +105,12 @@ class Gateway:
         """Samples that the ADC board's counter says were lost on the way."""
         return self._guard.lost
 
+    @property
+    def readiness(self) -> str:
+        """What is known of the boards and their samples, in words: what the gateway waits for."""
+        boards = "; ".join(f"{board.name} {board.describe()}" for board in self._boards)
+        return f"{boards}; last sample rejected: {self._last_rejection}" if self._last_rejection else boards
+
     def on_deadline(self, now_ns: int) -> Output:
         """Begin the period that is due: SYNC, supervision, and centring where nothing is running."""
         frames: list[Frame] = []

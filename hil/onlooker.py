@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import signal
 import socket
 import subprocess
 import sys
@@ -32,6 +31,7 @@ class Onlooker:
                 [sys.executable, "-m", module, str(theirs.fileno())],
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C in the terminal is for the teller alone
             )
         self._socket.setblocking(False)
 
@@ -48,9 +48,7 @@ class Onlooker:
 
 
 def messages(file_descriptor: int) -> Iterator[dict[str, Any]]:
-    """In the onlooker's process: what is told, until the teller closes. Its signals are not for us."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+    """In the onlooker's process: what is told, until the teller closes."""
     with socket.socket(fileno=file_descriptor) as connection:
         while data := connection.recv(LONGEST_MESSAGE):
             yield json.loads(data)

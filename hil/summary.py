@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.text import Text
 
+ASKED = "duration asked for, s"
+"""In the metadata of a recording's end."""
 SETTLING_BAND = 0.02
 """Of the step's size."""
 STEADY_PART = 0.2
@@ -99,6 +101,12 @@ class Summary:
     """Not recorded, because the recorder process fell behind or ended."""
     complete: bool
     """Whether the recording was ended properly."""
+    ending: str
+    """Why the run ended; empty where that is not known."""
+    controlled_s: float
+    """For how long the controllers acted."""
+    asked_s: float | None
+    """For how long they were to act."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for machines; keys carry the units."""
@@ -119,6 +127,7 @@ def summarise(recording: Recording) -> Summary:
         name: _axis_summary(recording.axis(name), unit, recording) for name, unit in recording.axes.items()
     }
     ending = recording.metadata.get("ending", {})
+    under_control = running_rows(timing, recording)[1:]
     dropped, unreadable, not_sent, rejected, lost, error_frames = (
         int(ending[key]) if ending.get(key, "").isdecimal() else None
         for key in (
@@ -147,6 +156,9 @@ def summarise(recording: Recording) -> Summary:
         error_frames=error_frames,
         messages_dropped=recording.messages_dropped,
         complete=recording.complete,
+        ending=ending.get("reason", ""),
+        controlled_s=float(np.ptp(under_control["deadline_ns"])) * 1e-9 if len(under_control) else 0.0,
+        asked_s=float(ending[ASKED]) if ASKED in ending else None,
     )
 
 
@@ -265,8 +277,11 @@ def _rendered(summary: Summary) -> RenderableType:
         f"{summary.frames_received} frames received, {summary.frames_sent} sent"
     )
     tables = [table for table in (steps, tracking) if table.row_count]
-    cut_off = [] if summary.complete else ["The recording was cut off; this is what it holds."]
-    return Group(*tables, loop, counts, _losses(summary), *cut_off)
+    notes = [] if summary.complete else ["The recording was cut off; this is what it holds."]
+    if summary.ending == "interrupted":
+        of = "" if summary.asked_s is None else f" of {summary.asked_s:g}"
+        notes.append(f"interrupted after {summary.controlled_s:.0f} s{of}")
+    return Group(*tables, loop, counts, _losses(summary), *notes)
 
 
 def _losses(summary: Summary) -> Text:

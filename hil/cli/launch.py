@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 LOCKSTEP_EPOCH_NS = 1_000_000_000_000_000_000
 """Simulated time begins here (2001-09-09), so that lockstep files depend on nothing but the setup."""
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SIMULATED = "sim"
 BOARDS_PATIENCE_S = 2.0
 MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".csv": "text/csv"}
@@ -49,9 +50,8 @@ def run_realtime(
     from hil.shells.realtime import run
 
     spec = f"udp:{_free_udp_port()}" if bus == SIMULATED else bus
-    stop = _stop_on_signals()
     axes = [(name, axis.unit) for name, axis in setup.rig.axes.items()]
-    with contextlib.ExitStack() as stack:
+    with _stop_on_signals() as stop_request, contextlib.ExitStack() as stack:
         if bus == SIMULATED:
             stack.enter_context(_boards_process(spec, options))
         link = stack.enter_context(open_link(spec))
@@ -65,7 +65,7 @@ def run_realtime(
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display, most_refused)
             session.note(Event(Severity.INFO, "rights", str(rights)))
-            error = run(session, link, stop)
+            error = run(session, link, stop_request)
         ending = _ending(plan, gateway) | {
             "frames dropped by the kernel": _dropped(link),
             "frames unreadable": str(link.unreadable),
@@ -86,13 +86,14 @@ def run_lockstep(
     from hil.shells.lockstep import Lockstep
 
     plant, _ = build_plant(setup.rig, options)
-    stop = _stop_on_signals()
     recorder = Recorder(path, _header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}), lossless=True)
     lockstep = Lockstep(SimulatedRig(setup.rig, plant), 0)
     gateway = setup.gateway(setup.rig.loop.period_ns)
-    with LockstepProgress(duration_s) as progress:
-        lockstep.run(Session(gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress), stop)
-    return recorder.close({"ending": _ending(plan, gateway)})
+    with _stop_on_signals() as stop_request:
+        with LockstepProgress(duration_s) as progress:
+            session = Session(gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress)
+            lockstep.run(session, stop_request)
+        return recorder.close({"ending": _ending(plan, gateway)})
 
 
 def _header(
@@ -128,7 +129,9 @@ def _host_versions() -> dict[str, str]:
 def _ending(plan: RunPlan, gateway: Gateway) -> dict[str, str]:
     return {
         "reason": str(plan.ending),
+        "duration asked for, s": f"{plan.duration_s:g}",
         "fault": gateway.fault_reason or "",
+        "readiness": gateway.readiness,
         "missed periods": str(gateway.missed_periods),
         "rejected frames": str(gateway.rejected_frames),
         "lost samples": str(gateway.lost_samples),
@@ -155,11 +158,16 @@ def _boards_process(spec: str, options: argparse.Namespace) -> Iterator[None]:
         await_end(process, BOARDS_PATIENCE_S)
 
 
-def _stop_on_signals() -> StopRequest:
+@contextlib.contextmanager
+def _stop_on_signals() -> Iterator[StopRequest]:
+    """Signals ask the run to end, until its recording is closed; then they end the program again."""
     stop = StopRequest()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, stop.set)
-    return stop
+    before = {number: signal.signal(number, stop.set) for number in STOP_SIGNALS}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _free_udp_port() -> int:

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from firmware_sim.scenario import Scenario
 
 DEFAULT_DURATION_S = 10.0
+SILENCE_HINT = (
+    "Is the bus right (--bus), are the boards powered, the bit rate the same, the node ids 0x10 and 0x20?"
+)
 TRACEBACK_VARIABLE = "HIL_TRACEBACK"
 LINEAR_CONTROLLERS = {"m": "ppid", "rad": "ppid_rad"}
 """What the paper designed for eq. (15), by unit."""
@@ -121,13 +124,13 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
             self.quiet = True  # `| head`: the plot is made all the same
 
     console = Printer(highlight=False, soft_wrap=True)
-    if report.failure:
-        lost = sum(report.dropped.values())
-        console.print(f"recording: {report.failure}; {lost} messages were not recorded", style="red")
-    fault = trace = ""
+    ending: dict[str, str] = {}
+    trace = ""
+    in_file = 0
     try:
         recording = Recording(report.path)
-        fault = recording.metadata.get("ending", {}).get("fault", "")
+        in_file = sum(recording.counts.values())
+        ending = recording.metadata.get("ending", {})
         trace = recording.metadata.get("error", {}).get("traceback", "")
         console.print(summarise(recording).table())
         console.print(f"recording  {report.path}  (opens in Foxglove and PlotJuggler)")
@@ -141,16 +144,19 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
         console.print(f"next       hil replay --verify {report.path}")
     except HilError as error:
         console.print(f"incomplete: {error}", style="yellow")
+    if report.failure:
+        text = f"recording: {report.failure}; {report.missing(in_file)} messages are missing in the file"
+        console.print(text, style="red")
     if plan.ending in (Ending.COMPLETED, Ending.INTERRUPTED):
         return 1 if report.failure else 0
     if plan.ending is Ending.NO_BOARDS:
-        console.print(
-            "The boards did not come up: no heartbeat from both and no good sample. Is the bus right "
-            "(--bus), are the boards powered, the bit rate the same, the node ids 0x10 and 0x20?",
-            style="red",
-        )
+        readiness = ending.get("readiness", "")
+        hint = f". {SILENCE_HINT}" if "silent" in readiness else ""
+        if readiness.endswith("dac operational"):
+            hint = "; no sample came"
+        console.print(f"The boards did not come up: {readiness or 'nothing is recorded'}{hint}", style="red")
     else:
-        console.print(f"ended by {plan.ending}: {fault}", style="red")
+        console.print(f"ended by {plan.ending}: {ending.get('fault', '')}", style="red")
     if plan.ending is Ending.ERROR:
         console.print(
             "That is a mistake of hil or of a library that it uses. Please report it to its maintainers with "

@@ -58,6 +58,10 @@ class RecorderReport(NamedTuple):
     failure: str | None
     """Why the file is not whole, in words; None when it is."""
 
+    def missing(self, in_file: int) -> int:
+        """Messages that were reported and are not among those in the file."""
+        return self.messages + sum(self.dropped.values()) - in_file
+
 
 class Recorder:
     """Records one run into ``path``. Build it before the loop takes real-time rights or a processor.

@@ -37,6 +37,7 @@ class RunPlan:
     """Consulted once a period; says which trigger to give, and when the run is over."""
 
     def __init__(self, duration_s: float, period_s: float, bring_up_s: float = 5.0) -> None:
+        self.duration_s = duration_s
         self._run_periods = max(round(duration_s / period_s), 1)
         self._bring_up_periods = max(round(bring_up_s / period_s), 1)
         self._periods = 0

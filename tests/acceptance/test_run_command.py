@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.cli import main
+from hil.cli import launch, main
 from hil.life_cycle import State
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
@@ -99,6 +99,28 @@ def test_silent_bus_is_explained(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "boards did not come up" in done.stdout.lower().replace("\n", " ")
+
+
+def test_boards_whose_samples_are_refused_are_explained(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.mcap"
+    assert main(["run", "--lockstep", "--event", "broken-wire:vertical@0", "--record", str(path)]) == 1
+    told = capsys.readouterr().out
+    assert "adc operational; dac operational; last sample rejected: vertical: potentiometer 0.000 V" in told
+    assert "Is the bus right" not in told
+
+
+def test_signals_are_a_request_until_the_recording_is_closed() -> None:
+    """The second Ctrl-C ends summary and plots, which may take long."""
+    before = signal.getsignal(signal.SIGINT)
+    with launch._stop_on_signals() as stop:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        assert stop.is_set
+    assert signal.getsignal(signal.SIGINT) is before
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
 
 
 def test_a_reader_that_goes_away_costs_no_plot(tmp_path: Path) -> None:

@@ -21,8 +21,7 @@ from hil.run_setup import load_setup
 from hil.shells.display import STATUS_PERIODS, Display
 
 
-def test_messages_come_in_order_until_the_teller_closes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
+def test_messages_come_in_order_until_the_teller_closes() -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours.send(b'{"a": 1}')
     ours.send(b'{"b": [2, 3]}')
@@ -52,6 +51,13 @@ def test_an_onlooker_that_never_ends_is_killed(stalled: Onlooker, monkeypatch: p
     os.kill(stalled._process.pid, signal.SIGSTOP)
     stalled.close()
     assert stalled._process.returncode == -signal.SIGKILL
+
+
+def test_ctrl_c_in_the_terminal_never_reaches_an_onlooker(stalled: Onlooker) -> None:
+    """Not even before it has imported anything: the terminal signals the processes of its session."""
+    assert os.getsid(stalled._process.pid) != os.getsid(0)
+    stalled._process.kill()
+    stalled.close()
 
 
 @pytest.mark.parametrize("state", ["running", "fault"])

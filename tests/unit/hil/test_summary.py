@@ -265,3 +265,12 @@ def test_a_cut_off_recording_says_so(tmp_path: Path) -> None:
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(summary.table())
     assert "cut off" in console.export_text()
+
+
+def test_an_interrupted_run_says_so_and_others_do_not(tmp_path: Path) -> None:
+    ending = {"reason": "interrupted", "duration asked for, s": "600"}
+    summary, text = told_of(tmp_path, ending)
+    assert summary.controlled_s == pytest.approx(298 * PERIOD_S)
+    assert f"interrupted after {298 * PERIOD_S:.0f} s of 600" in text
+    (tmp_path / "run.mcap").unlink()
+    assert "interrupted" not in told_of(tmp_path, ending | {"reason": "completed"})[1]

@@ -284,6 +284,7 @@ def test_a_recorder_process_that_hangs_is_killed_after_a_while(
     assert report.failure == "the recorder process took nothing for 0.05 s, and was killed"
     assert bool(news) == lossless
     assert sum(report.dropped.values()) > 1000
+    assert report.missing(0) == 3000 * 8, "what was in the pipe is missing too"
 
 
 def test_a_recorder_process_that_takes_all_and_does_not_end_is_killed(
@@ -295,3 +296,5 @@ def test_a_recorder_process_that_takes_all_and_does_not_end_is_killed(
         record_periods(recorder, 3)
         report = recorder.close({})
     assert report.failure == "the recorder process did not end within 0.05 s, and was killed"
+    assert sum(report.dropped.values()) == 0
+    assert report.missing(in_file=0) == 3 * 8
