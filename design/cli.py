@@ -243,14 +243,27 @@ def _tell(console: Console, design: Design, directory: Path) -> int:
     against = warnings(design)
     for warning in against:
         console.print(warning, style="red")
-    plant = design.plant
-    axis = plant.name if plant.name in AXES else AXIS_OF_UNIT[plant.output_unit]
     console.print(
         f"\nreport      {directory / 'report.html'}\ncontroller  {directory / 'controller.json'}\n"
-        f"next        hil run --controller {axis}={directory / 'controller.json'}",
+        f"next        {_next_command(design.plant, directory / 'controller.json')}",
         soft_wrap=True,
     )
     return 1 if against else 0
+
+
+def _next_command(plant: Plant, controller: Path) -> str:
+    """How to run what was designed, on what it was designed for."""
+    from design.plant import paper_plant
+
+    paper = paper_plant()
+    axis = plant.name if plant.name in AXES else AXIS_OF_UNIT[plant.output_unit]
+    if (plant.name, plant.num, plant.den) == (paper.name, paper.num, paper.den):
+        return (
+            f"hil run --linear --controller {axis}={controller}\n"
+            "            --linear is eq. (15) itself; the simulated arm's own vertical axis comes near it "
+            "but is another plant: hil design vertical"
+        )
+    return f"hil run --controller {axis}={controller}"
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from functools import cache
+from importlib import resources
 from pathlib import Path
 from unittest import mock
 
@@ -15,7 +16,7 @@ from support.drawn_curves import drawn_curves
 
 from design.comparison import Candidate
 from design.design_file import read_design
-from design.plant import paper_plant
+from design.plant import paper_plant, read_plant
 from design.procedure import Design, carry_out
 from firmware_sim.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
@@ -24,11 +25,13 @@ from hil.events import Cycle, Event
 from hil.gateway import Gateway
 from hil.laws import ControlLaw
 from hil.life_cycle import State
+from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
 from hil.run_setup import RunSetup, load_setup
 from hil.shells.lockstep import Lockstep
 from hil.shells.run_plan import Ending, RunPlan, StopRequest
 from hil.shells.session import Session
+from hil.summary import StepResponse, summarise
 
 Values = NDArray[np.float64]
 
@@ -94,6 +97,28 @@ def lockstep_step(setup: RunSetup, resolution_bits: int) -> Values:
     shell.run(Session(gateway, plan, shell.send, shell.clock_ns, recorder, running), StopRequest())
     assert plan.ending is Ending.COMPLETED
     return np.array(running.y)[int(np.argmax(np.array(running.r) > 0.0)) :]
+
+
+def test_design_for_the_arms_axis_does_on_the_arm_what_the_report_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """README's sequence, both ways: a step up takes a little longer than the model's, one down less."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["design", "vertical"]) == 0
+    text = resources.files("design").joinpath("plants/vertical.json").read_text()
+    reported = carry_out(read_design("", "design.toml"), read_plant(text, "vertical")).measures[0]
+    settling_s = []
+    for size in ("0.1", "-0.1"):
+        asked = ["--controller", "vertical=designs/vertical/controller.json"]
+        asked += ["--setpoint", f"vertical=step:{size}@2", "--duration", "8", "--record", f"run{size}.mcap"]
+        assert main(["run", "--lockstep", *asked]) == 0
+        step = summarise(Recording(Path(f"run{size}.mcap"))).axes["vertical"]
+        assert isinstance(step, StepResponse)
+        assert step.settling_s is not None
+        settling_s.append(step.settling_s)
+        assert step.overshoot_percent < 1.0
+    assert max(settling_s) < 1.2, "what was asked for"
+    assert np.mean(settling_s) == pytest.approx(reported.settling_s, abs=0.05)
 
 
 def quantisation_bound_m(candidate: Candidate, resolution_bits: int) -> float:

@@ -66,7 +66,8 @@ def test_without_arguments_the_papers_plant_is_designed_for(
         ["controller.json", "hls.json", "pi.json", "zn.json", "tlc.json", "report.html", "figures"]
     )
     assert len(list((folder / "figures").glob("*.svg"))) == 8
-    assert "next        hil run --controller vertical=designs/paper/controller.json" in out
+    assert "next        hil run --linear --controller vertical=designs/paper/controller.json" in out
+    assert "another plant: hil design vertical" in out
     design = sampled_design()
     for candidate, measures in zip(design.candidates, design.measures, strict=True):
         assert candidate.name in out
@@ -151,14 +152,13 @@ def test_a_plants_name_makes_a_safe_directory(here: Path, short: str) -> None:
     assert Path("designs/..-arm-2-vertical/controller.json").exists()
 
 
-def test_axis_named_like_the_rigs_is_the_one_to_run(
-    here: Path, short: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_axis_named_like_the_rigs_is_the_one_to_run(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for changes, axis in (
         ({"name": "horizontal"}, "horizontal"),
         ({"name": "x", "output_unit": "rad"}, "rotation"),
+        ({"name": "paper", "den": [1.0, 17.3931, 175.08, 71.1]}, "vertical"),
     ):
-        assert main(["design", write_plant(here, **changes), "--design", short]) == 0
+        assert main(["design", write_plant(here, **changes)]) == 0
         assert f"hil run --controller {axis}=designs/" in capsys.readouterr().out
 
 

@@ -45,12 +45,8 @@ def test_vertical_axis_identifies_as_equation_15(seed: int, amplitude_v: float) 
     assert model.fit_percent > 98.0
 
 
-@pytest.mark.parametrize(
-    ("axis", "stops"), [(HORIZONTAL, 0.14), (ROTATION, 1.5)], ids=["horizontal", "rotation"]
-)
-def test_other_axes_identify_as_the_plants_that_their_controllers_are_designed_for(
-    axis: int, stops: float
-) -> None:
+@pytest.mark.parametrize(("axis", "stops"), [(VERTICAL, 0.14), (HORIZONTAL, 0.14), (ROTATION, 1.5)], ids=AXES)
+def test_each_axis_identifies_as_the_plant_that_is_shipped_to_design_for(axis: int, stops: float) -> None:
     plant = json.loads((resources.files("design") / f"plants/{AXES[axis]}.json").read_text())
     slow, *mode = sorted(np.roots(plant["den"]), key=abs)
     model = identify(*excite(shipped_arm(), axis, 0.4, seed=1), stops=stops)
