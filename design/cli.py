@@ -63,16 +63,19 @@ def main(argv: list[str]) -> int:
 
     from design.controller_files import controller_files
     from design.procedure import carry_out
+    from design.results_folder import ResultsFolder
 
+    plant = inputs.plant
+    directory: Path = options.out or Path("designs") / re.sub(r"[^\w.-]+", "-", plant.name)
+    folder = ResultsFolder(directory, f"Controller design: {plant.name}")
+    folder.check()
     console = Console(highlight=False)
     with _progress_bars() as on_progress:
-        design = carry_out(inputs.design_file, inputs.plant, inputs.further, on_progress)
-    directory: Path = options.out or Path("designs") / re.sub(r"[^\w.-]+", "-", inputs.plant.name)
-    _write_report(directory, design, f"Controller design: {inputs.plant.name}", inputs.measured)
-    for name, text in controller_files(design).items():
-        _write_file(directory / f"{name}.json", text)
+        design = carry_out(inputs.design_file, plant, inputs.further, on_progress)
+    controllers = controller_files(design)
+    folder.replace(_report_files(design, folder.title, inputs.measured) | controllers)
     console.print(_table(design))
-    return _tell(console, design, directory)
+    return _tell(console, design, inputs.measured, directory)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -95,7 +98,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--measured", type=Path, metavar="CSV", help="record time_s,u,y to hold the model against"
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where results go (designs/<plant's name>)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="where results go (designs/<plant's name>); only the same plant's are replaced",
+    )
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--paper", action="store_true", help="reproduce the paper's figures, with verdicts")
     what.add_argument("--init", action="store_true", help=f"write {DESIGN_NAME}, commented, to begin from")
@@ -155,13 +163,16 @@ def _reproduce_paper(options: argparse.Namespace) -> int:
     from rich.table import Table
 
     from design.paper import reproduce
+    from design.results_folder import ResultsFolder
 
+    directory: Path = options.out or Path("designs") / "paper-reproduction"
+    folder = ResultsFolder(directory, "The paper, reproduced")
+    folder.check()
     console = Console(highlight=False)
     with _progress_bars() as on_progress:
         reproduction = reproduce(on_progress)
-    directory: Path = options.out or Path("designs") / "paper-reproduction"
     verdicts = reproduction.verdicts
-    _write_report(directory, reproduction.design, "The paper, reproduced", None, verdicts)
+    folder.replace(_report_files(reproduction.design, folder.title, None, verdicts))
     table = Table("where", "what", "paper", "here", "verdict", box=None, pad_edge=False)
     for verdict in verdicts:
         style = "red" if verdict.failed else ("green" if verdict.agrees else "yellow")
@@ -181,30 +192,16 @@ def _reproduce_paper(options: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def _write_report(
-    directory: Path,
-    design: Design,
-    title: str,
-    measured: ModelFit | None,
-    verdicts: Sequence[Verdict] = (),
-) -> None:
-    """The report, and each figure as a file of its own."""
+def _report_files(
+    design: Design, title: str, measured: ModelFit | None, verdicts: Sequence[Verdict] = ()
+) -> dict[str, str]:
+    """The report, and each figure as a file of its own: texts by file name."""
     from design.report import design_figures, render
+    from design.results_folder import FIGURES, REPORT
 
     drawn = design_figures(design, measured)
-    for figure in drawn:
-        _write_file(directory / "figures" / f"{figure.key}.svg", figure.svg)
-    _write_file(
-        directory / "report.html", render(design, drawn, title=title, measured=measured, verdicts=verdicts)
-    )
-
-
-def _write_file(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise HilError(f"{error.filename or path}: cannot be written: {error.strerror}") from None
+    html = render(design, drawn, title=title, measured=measured, verdicts=verdicts)
+    return {REPORT: html} | {f"{FIGURES}/{figure.key}.svg": figure.svg for figure in drawn}
 
 
 def _table(design: Design) -> object:
@@ -221,10 +218,11 @@ def _table(design: Design) -> object:
     return table
 
 
-def _tell(console: Console, design: Design, directory: Path) -> int:
+def _tell(console: Console, design: Design, measured: ModelFit | None, directory: Path) -> int:
     """What was found, what speaks against it, and what to do next."""
     from design.advice import hints, warnings
     from design.comparison import eps_text
+    from design.controller_files import runs_unstable
 
     values = ", ".join(f"{name} {value:.5g}" for name, value in design.designed.parameters.items())
     share = 100.0 * design.eps / design.problem.eps_opt
@@ -240,14 +238,25 @@ def _tell(console: Console, design: Design, directory: Path) -> int:
         console.print(f"not compared: {note}")
     for hint in hints(design):
         console.print(hint, style="yellow")
+    if measured is not None:
+        console.print(f"the model follows the measured record to {measured.fit_percent:.1f} %")
+    unstable = [c.name for c, m in zip(design.candidates, design.measures, strict=True) if runs_unstable(m)]
+    if unstable:
+        console.print(f"not written, unstable in the rig's loop: {', '.join(unstable)}")
     against = warnings(design)
+    if measured is not None and measured.doubt:
+        against.append(measured.doubt)
     for warning in against:
         console.print(warning, style="red")
-    console.print(
-        f"\nreport      {directory / 'report.html'}\ncontroller  {directory / 'controller.json'}\n"
-        f"next        {_next_command(design.plant, directory / 'controller.json')}",
-        soft_wrap=True,
-    )
+    controller = directory / "controller.json"
+    where = [f"\nreport      {directory / 'report.html'}"]
+    if not runs_unstable(design.measures[0]):
+        where.append(f"controller  {controller}")
+    if against:
+        where.append("next        put right what is said above: this controller should not be run as it is")
+    else:
+        where.append(f"next        {_next_command(design.plant, controller)}")
+    console.print("\n".join(where), soft_wrap=True)
     return 1 if against else 0
 
 

@@ -1,6 +1,6 @@
 """Controller files of a finished design: the documents that cross to the daemon.
 
-Each is read back by the daemon's own reader before it is handed out.
+Each is read back by the daemon's own reader before it is handed out. What would be unstable there is no file.
 """
 
 from __future__ import annotations
@@ -20,14 +20,21 @@ DESIGNED = "controller"
 
 
 def controller_files(design: Design) -> dict[str, str]:
-    """JSON texts by file stem: "controller" is the designed one, the others bear their names."""
+    """JSON texts by file name: controller.json is the designed one, the others bear their names."""
     texts = {}
     for index, (candidate, measures) in enumerate(zip(design.candidates, design.measures, strict=True)):
-        stem = DESIGNED if index == 0 else candidate.name.partition(" (")[0].lower().replace(" ", "-")
+        if runs_unstable(measures):
+            continue
+        name = f"{DESIGNED if index == 0 else candidate.name.lower()}.json"
         text = to_json(_document(design, candidate, measures))
-        read_controller(text, f"{stem}.json")
-        texts[stem] = text
+        read_controller(text, name)
+        texts[name] = text
     return texts
+
+
+def runs_unstable(measures: Measures) -> bool:
+    """Whether the daemon's loop with this controller is unstable, as the plant's model has it."""
+    return not measures.eps_sampled > 0.0
 
 
 def _document(design: Design, candidate: Candidate, measures: Measures) -> ControllerFile:

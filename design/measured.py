@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,16 @@ from design.polynomials import Array
 from hil.errors import DocumentError
 
 COLUMNS = ("time_s", "u", "y")
+POOR_PERCENT = 70.0
+"""A fit under this is no confirmation of the model."""
+FACTORS = {
+    1000.0: "y in mm, the model in m?",
+    100.0: "y in cm, the model in m?",
+    180.0 / np.pi: "y in degrees, the model in rad?",
+    0.001: "u in mV?",
+    -1.0: "valve or potentiometer the other way round than in the model?",
+}
+"""What a record's y may be multiplied by, and why."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +38,13 @@ class ModelFit:
     input_v: Array
     measured: Array
     model: Array
+    doubt: str = ""
+    """What speaks against the model where the fit is poor, with the mistake that would explain it."""
 
     @property
     def fit_percent(self) -> float:
         """100 (1 - |y - model| / |y - mean y|)."""
-        spread = float(np.linalg.norm(self.measured - self.measured.mean()))
-        return 100.0 * (1.0 - float(np.linalg.norm(self.measured - self.model)) / spread)
+        return _fit_percent(self.measured, self.model)
 
 
 def compare(plant: Plant, text: str, source: str) -> ModelFit:
@@ -49,14 +60,53 @@ def compare(plant: Plant, text: str, source: str) -> ModelFit:
         )
     if not np.ptp(y) > 0.0:
         raise DocumentError(f"{source}: y never changes; there is nothing to compare")
+    forced, free = _motions(plant, u, period_s)
+    model = forced + free @ np.linalg.lstsq(free, y - forced, rcond=None)[0]
+    fit = ModelFit(time_s - time_s[0], u, y, model)
+    if fit.fit_percent >= POOR_PERCENT:
+        return fit
+    return replace(
+        fit,
+        doubt=f"{source}: the model follows this record to {fit.fit_percent:.1f} % only"
+        + _explanation(plant, u, y, period_s),
+    )
+
+
+def _explanation(plant: Plant, u: Array, y: Array, period_s: float) -> str:
+    """The mistake in a record under which the model would fit, if there is one."""
+    gain, fit_percent = _with_gain(plant, u, y, period_s)
+    if fit_percent >= POOR_PERCENT:
+        why = [text for factor, text in FACTORS.items() if abs(gain / factor - 1.0) < 0.25]
+        number = f"{gain:.0f}" if abs(gain) >= 100.0 else f"{gain:.2g}"
+        told = f": its y is {number} times what the model says, and but for that they agree to"
+        return f"{told} {fit_percent:.1f} %; {why[0] if why else 'other units, or another plant?'}"
+    if np.ptp(u) > 0.0 and _with_gain(plant, y, u, period_s)[1] >= POOR_PERCENT:
+        return ": with u and y exchanged they agree; are the columns swapped?"
+    return ": another plant or axis, other conditions, or a time shift between u and y?"
+
+
+def _with_gain(plant: Plant, u: Array, y: Array, period_s: float) -> tuple[float, float]:
+    """The gain on the model that fits best, and the fit with it in percent."""
+    forced, free = _motions(plant, u, period_s)
+    columns = np.column_stack([forced, free])
+    size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+    weights = np.linalg.lstsq(columns / size, y, rcond=None)[0] / size
+    return float(weights[0]), _fit_percent(y, columns @ weights)
+
+
+def _fit_percent(measured: Array, model: Array) -> float:
+    return 100.0 * (
+        1.0 - float(np.linalg.norm(measured - model) / np.linalg.norm(measured - measured.mean()))
+    )
+
+
+def _motions(plant: Plant, u: Array, period_s: float) -> tuple[Array, Array]:
+    """The model's output (k,) for u from rest, and what may be added: free motions, a constant (k, n + 1)."""
     num, den = to_z(plant.transfer_function(Sampling(period_s, delay_samples=0)), period_s)
     n = len(den) - 1
-    forced = _filtered(num, den, u)
-    # Motions from every initial state, z^i/den for i = 1 … n, and a constant.
+    # Motions from every initial state: z^i/den for i = 1 … n.
     free = [_filtered(np.eye(1, n + 1, k)[0], den, np.eye(1, len(u))[0]) for k in range(n)]
-    basis = np.stack([*free, np.ones_like(u)], axis=1)
-    weights = np.linalg.lstsq(basis, y - forced, rcond=None)[0]
-    return ModelFit(time_s - time_s[0], u, y, forced + basis @ weights)
+    return _filtered(num, den, u), np.stack([*free, np.ones_like(u)], axis=1)
 
 
 def _filtered(num: Array, den: Array, u: Array) -> Array:

@@ -9,11 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 from support.designs import HEAVIER, PERIOD_S, reproduction, sampled_design
 
-from design import paper, paper_claims
+from design import paper, paper_claims, procedure
 from design.cli import STRUCTURE_NAMES
 from design.design_file import example_text
 from design.plant import paper_plant
@@ -128,21 +129,102 @@ def test_further_plants_are_read_beside_the_design_file(
 
 
 def test_a_missed_specification_is_exit_status_1(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A lag cannot follow the shaped plant: it is designed, written, and warned of."""
+    """A lag cannot follow the shaped plant: it is designed, written, warned of, and not recommended."""
     (here / "d.toml").write_text(SHORT)
     assert main(["design", "--design", "d.toml", "--structure", "p", "--out", "out"]) == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "the designed loop misses what is specified:" in said
     assert "must_meet_specifications = true" in said
+    assert "this controller should not be run as it is" in said
+    assert "hil run" not in said
     assert Path("out/controller.json").exists()
 
 
-def test_measured_record(here: Path, short: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unstable_loops_are_no_controller_files(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A continuous design knows nothing of 20 samples of delay."""
+    (here / "d.toml").write_text(SHORT + '[loop]\ndesign = "continuous"\ndelay_samples = 20\n')
+    assert main(["design", "--design", "d.toml", "--out", "out"]) == 1
+    said = capsys.readouterr().out
+    line = next(line for line in said.splitlines() if line.startswith("not written, unstable"))
+    assert "ZN" in line
+    told = dict(
+        zip(
+            ("controller", "hls", "pi", "zn", "tlc"),
+            ("PID (designed)", "HLS", "PI", "ZN", "TLC"),
+            strict=True,
+        )
+    )
+    for stem, name in told.items():
+        assert (Path("out") / f"{stem}.json").exists() == (name not in line), name
+    assert "hil run" not in said
+
+
+def test_an_unstable_design_is_not_written(
+    here: Path, short: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    design = sampled_design()
+    unstable = replace(design, measures=(replace(design.measures[0], eps_sampled=0.0), *design.measures[1:]))
+    monkeypatch.setattr(procedure, "carry_out", lambda *_: unstable)
+    assert main(["design", "--out", "out"]) == 1
+    said = capsys.readouterr().out
+    assert "not written, unstable in the rig's loop: PID (designed)" in said
+    assert "controller.json" not in said
+    assert not Path("out/controller.json").exists()
+    assert Path("out/hls.json").exists()
+
+
+def test_results_of_the_same_plant_are_replaced(here: Path, short: str) -> None:
+    assert main(["design", "--design", short, "--out", "out"]) == 0
+    before = Path("out/controller.json").read_bytes()
+    assert main(["design", "--design", short, "--structure", "pi", "--out", "out"]) == 0
+    assert Path("out/controller.json").read_bytes() != before
+    assert not Path("out/pi.json").exists(), "of the design before"
+    assert main(["design", "--design", short, "--out", "out"]) == 0
+    assert Path("out/controller.json").read_bytes() == before
+
+
+def test_what_is_not_of_the_same_plant_is_left_as_it_is_and_told_before_the_search(
+    here: Path, short: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["design", write_plant(here, name="a <b>"), "--design", short]) == 0
+    monkeypatch.setattr(procedure, "carry_out", None)
+    monkeypatch.setattr(paper, "reproduce", None)
+    (here / "mine").mkdir()
+    (here / "mine" / "controller.json").write_text("{}")
+    (here / "taken").write_text("")
+    for argv, told in (
+        (["vertical", "--out", "designs/a-b-"], 'holds "Controller design: a <b>"; it is left as it is'),
+        (["--paper", "--out", "designs/a-b-"], 'holds "Controller design: a <b>"; it is left as it is'),
+        (["--out", "mine"], "mine has a controller.json that is of no design; it is left as it is"),
+        (["--out", "taken"], "--out taken: taken is a file, not a folder"),
+        (["--out", "taken/deeper"], "--out taken/deeper: taken is a file, not a folder"),
+    ):
+        assert main(["design", *argv]) == 2
+        assert told in capsys.readouterr().err
+    assert (here / "mine" / "controller.json").read_text() == "{}"
+    assert "a &lt;b&gt;" in Path("designs/a-b-/report.html").read_text()
+
+
+def write_record(path: Path, y_unit: float = 1.0) -> None:
+    """Of the paper's plant, under a square wave."""
     t = np.arange(300) * PERIOD_S
-    rows = "".join(f"{a:.6f},{np.sign(np.sin(5 * a))},{np.sin(a):.6f}\n" for a in t)
-    (here / "r.csv").write_text("time_s,u,y\n" + rows)
+    u = np.sign(np.sin(5 * t))
+    held = control.sample_system(control.tf(paper_plant().num, paper_plant().den), PERIOD_S, "zoh")
+    y = control.forced_response(held, t, u).outputs * y_unit
+    path.write_text("time_s,u,y\n" + "".join(f"{a:.6f},{b},{c}\n" for a, b, c in zip(t, u, y, strict=True)))
+
+
+def test_measured_record(here: Path, short: str, capsys: pytest.CaptureFixture[str]) -> None:
+    write_record(here / "r.csv")
     assert main(["design", "--design", short, "--measured", "r.csv", "--out", "out"]) == 0
+    assert "the model follows the measured record to 100.0 %" in capsys.readouterr().out
     assert Path("out/figures/fig5-identification.svg").exists()
+    write_record(here / "mm.csv", 1000.0)
+    assert main(["design", "--design", short, "--measured", "mm.csv", "--out", "out"]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "its y is 1000 times what the model says" in said
+    assert "y in mm, the model in m?" in said
+    assert "hil run" not in said
     (here / "bad.csv").write_text("time,u,y\n0,0,0\n")
     assert "bad.csv: column time_s is missing" in error_of(["--measured", "bad.csv"], capsys)
 
@@ -203,12 +285,6 @@ def test_files_that_are_not_there(here: Path, capsys: pytest.CaptureFixture[str]
     assert "nope.toml: cannot be read" in error_of(["--design", "nope.toml"], capsys)
     (here / "d.toml").write_text('[further_plants]\nfiles = ["nope.json"]\n')
     assert "nope.json: cannot be read" in error_of(["--design", "d.toml"], capsys)
-
-
-def test_results_that_cannot_be_written(here: Path, short: str, capsys: pytest.CaptureFixture[str]) -> None:
-    (here / "taken").write_text("")
-    assert main(["design", "--design", short, "--out", "taken"]) == 2
-    assert "taken" in capsys.readouterr().err
 
 
 def test_infeasible_specifications_name_what_fails_and_by_how_much(

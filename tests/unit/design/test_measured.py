@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import control
+import msgspec
 import numpy as np
 import pytest
 
-from design.measured import compare
+from design.measured import POOR_PERCENT, compare
 from design.plant import paper_plant
 from hil.errors import DocumentError
 
@@ -37,6 +40,40 @@ def test_fit_falls_with_noise_by_its_share() -> None:
     share = 0.002 / clean.measured.std()
     assert noisy.fit_percent == pytest.approx(100.0 * (1.0 - share), abs=10.0 * share)
     assert noisy.fit_percent < clean.fit_percent - 50.0 * share
+
+
+def changed(text: str, u: float = 1.0, y: float = 1.0) -> str:
+    """The record in other units."""
+    rows = [[float(cell) for cell in line.split(",")] for line in text.splitlines()[1:]]
+    return "time_s,u,y\n" + "".join(f"{row[0]},{row[1] * u},{row[2] * y}\n" for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"y": 1000.0}, "its y is 1000 times what the model says.* y in mm, the model in m\\?"),
+        ({"y": 57.2958}, "its y is 57 times what the model says.* y in degrees"),
+        ({"y": -1.0}, "its y is -1 times what the model says.* the other way round"),
+        ({"u": -1.0}, "its y is -1 times what the model says.* the other way round"),
+        ({"u": 1000.0}, "its y is 0.001 times what the model says.* u in mV\\?"),
+        ({"y": 7.0}, "its y is 7 times what the model says.* other units, or another plant\\?"),
+    ],
+)
+def test_a_record_in_other_units_is_told_with_the_factor(changes: dict[str, float], told: str) -> None:
+    fit = compare(paper_plant(), changed(record(from_sample=87), **changes), "r.csv")
+    assert fit.fit_percent < POOR_PERCENT
+    assert re.match(f"r.csv: the model follows this record to .* % only: {told}", fit.doubt)
+
+
+def test_swapped_columns_and_another_plant_are_told() -> None:
+    swapped = record(0.002).replace("time_s,u,y", "time_s,y,u")
+    assert "are the columns swapped?" in compare(paper_plant(), swapped, "r.csv").doubt
+    other = msgspec.structs.replace(paper_plant(), num=[1.0], den=[1.0, 0.5, 400.0])
+    assert "another plant or axis" in compare(other, record(), "r.csv").doubt
+
+
+def test_a_record_with_noise_is_not_doubted() -> None:
+    assert compare(paper_plant(), record(0.002), "r.csv").doubt == ""
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from hil.controller_file import Pid, read_controller
 from hil.errors import DocumentError, HilError
 
 SAMPLING = Sampling(PERIOD_S, 1)
-FILES = controller_files(sampled_design())
+FILES = {Path(name).stem: text for name, text in controller_files(sampled_design()).items()}
 
 
 def running(stem: str) -> control.StateSpace:
