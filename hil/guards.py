@@ -26,6 +26,8 @@ FARTHEST_STEP = 127
 """Of the counter: beyond it, it went back."""
 FIRST_ANSWER_PERIODS = 5
 """No answer is waited for longer, and a link that takes longer is not told from one that answers in time."""
+LEAST_SILENT_PERIODS = 2
+"""But so many at least, whatever time went by: a stall of this machine may be one of the board, too."""
 UNCOUNTED_ANSWER_PERIODS = 3
 """The same of a board without a counter, once it has answered in time."""
 
@@ -58,6 +60,7 @@ class SampleGuard:
         """Whether it once was, since the board started."""
         self._unanswered: deque[int] = deque(maxlen=FARTHEST_STEP)
         """When the SYNCs left that have no answer, if every answer so far belongs to the oldest."""
+        self._silent_periods = 0
         self._late_answer_ns: int | None = None
         """How long after its SYNC the last answer came, where that was not the last SYNC."""
         self.lost = 0
@@ -79,7 +82,9 @@ class SampleGuard:
             self.surplus = max(self.surplus - 1, 0)
         self._has_surplus = False
         if self._awaits_answer(now_ns) and may_wait:
+            self._silent_periods += 1
             return False
+        self._silent_periods = 0
         self._unanswered.append(now_ns)
         self._owed = min(self._owed + 1, FIRST_ANSWER_PERIODS)
         return True
@@ -90,13 +95,14 @@ class SampleGuard:
         if not self._protected and self._has_matched:
             longest_ns = UNCOUNTED_ANSWER_PERIODS * self._period_ns
             self._is_matched = self._is_matched and not unanswered
+        may_know = self._silent_periods >= LEAST_SILENT_PERIODS
         if not self._is_matched:
-            while unanswered and now_ns - unanswered[0] >= longest_ns:
+            while unanswered and may_know and now_ns - unanswered[0] >= longest_ns:
                 unanswered.popleft()
             return len(unanswered) > 0
         if self._late_answer_ns is None or not unanswered:
             return False
-        if now_ns - unanswered[-1] < min(self._late_answer_ns + self._period_ns, longest_ns):
+        if not may_know or now_ns - unanswered[-1] < min(self._late_answer_ns + self._period_ns, longest_ns):
             return True
         unanswered.clear()  # the last answer was in time, to the SYNC before it; others were lost
         self._late_answer_ns = None

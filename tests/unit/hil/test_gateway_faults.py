@@ -885,6 +885,20 @@ class TestWhichSync:
             assert silent == 2
             assert len(commands(gateway.sample(after_ns=late_ns))) == 1
 
+    def test_a_machine_that_stalls_is_not_taken_for_a_board_that_missed_a_sync(self) -> None:
+        gateway = hand(State.RUNNING, adc__stale_after_periods="60")
+        gateway.period()
+        gateway.deadline()
+        gateway.deadline(late_ns=4 * PERIOD_NS)
+        assert commands(gateway.sample()) == []  # the answer to the SYNC before the stall
+        for stall in (6, 0):
+            assert SYNC not in gateway.deadline(late_ns=stall * PERIOD_NS).frames
+        assert commands(gateway.sample()) == []  # to the one after it
+        assert SYNC in gateway.deadline().frames
+        gateway.give(ADC_UP, DAC_UP)
+        assert len(commands(gateway.sample())) == 1
+        assert gateway.state is State.RUNNING
+
     def test_a_first_sync_that_is_lost_is_sent_again(self) -> None:
         gateway = hand()
         gateway.give(ADC_UP, DAC_UP)
