@@ -26,6 +26,10 @@ class RecordingError(HilError):
     """A recording cannot be written or read."""
 
 
+class RecordingExistsError(RecordingError):
+    """A recording would overwrite a file."""
+
+
 class ReplayMismatchError(HilError):
     """A replayed core did not send the bytes that were recorded."""
 

@@ -19,8 +19,11 @@ VOLTS_PER_COUNT = 10.0 / 32768
 HIGHEST_WIRE_V = 32767 * VOLTS_PER_COUNT
 """The most that an analogue channel of the DBC can carry."""
 
+CHANNELS = 3
+"""Of either board."""
+
 Periods = Annotated[int, msgspec.Meta(ge=1, le=1000)]
-Channel = Annotated[int, msgspec.Meta(ge=1, le=3)]
+Channel = Annotated[int, msgspec.Meta(ge=1, le=CHANNELS)]
 Volts = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 
 
@@ -124,7 +127,7 @@ class Rig(Document, frozen=True):
     gateway: Gateway
     adc: Adc
     dac: Dac
-    axes: Annotated[dict[str, Axis], msgspec.Meta(min_length=1, max_length=3)]
+    axes: Annotated[dict[str, Axis], msgspec.Meta(min_length=1)]
     bus: Bus = Bus()
 
 
@@ -138,6 +141,11 @@ def read_rig(text: str, source: str) -> Rig:
         raise DocumentError(
             f"{source}: dac.heartbeat_timeout_periods: {rig.dac.heartbeat_timeout_periods} does not exceed "
             f"gateway.heartbeat_periods {rig.gateway.heartbeat_periods}: the board would miss every heartbeat"
+        )
+    if len(rig.axes) > CHANNELS:
+        raise DocumentError(
+            f"{source}: axes: {', '.join(rig.axes)}: the boards have channels for {CHANNELS} axes, "
+            f"not {len(rig.axes)}"
         )
     for name, axis in rig.axes.items():
         if re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is None:

@@ -57,11 +57,13 @@ def load_setup(
     controllers: Mapping[str, str],
     setpoints: Mapping[str, str],
     further_texts: Mapping[str, str] | None = None,
+    origins: Mapping[str, str] | None = None,
 ) -> RunSetup:
     """Read a rig file (the shipped one without a path) and what it names, with overrides by axis.
 
     ``controllers`` and ``setpoints`` replace those of the rig file; file names in the rig file are relative
-    to it, in overrides to the working directory. ``further_texts`` are kept with the run.
+    to it, in overrides to the working directory. ``further_texts`` are kept with the run. ``origins`` says,
+    for errors, where an override is from (``setpoints.vertical``) if not from an option.
 
     Raises DocumentError or SetpointError.
     """
@@ -71,19 +73,27 @@ def load_setup(
     texts |= further_texts or {}
     sources = {RIG_NAME: str(rig_path or RIG_NAME)}
     rig = read_rig(texts[RIG_NAME], sources[RIG_NAME])
+    origins = origins or {}
     for option, given in (("--controller", controllers), ("--setpoint", setpoints)):
         for name in given:
             if name not in rig.axes:
                 raise DocumentError(f"{option} {name}=…: no such axis; the rig has {', '.join(rig.axes)}")
     chosen: dict[str, str] = {}
     for name, axis in rig.axes.items():
+        of_axis = f"{sources[RIG_NAME]}: axes.{name}"
         if name in controllers:
-            path = _controller_path(controllers[name], Path())
+            origin = origins.get(f"controllers.{name}", f"--controller {name}")
+            path = _controller_path(controllers[name], Path(), origin)
         else:
-            path = _controller_path(axis.controller, base)
+            path = _controller_path(axis.controller, base, f"{of_axis}.controller")
         document = f"controllers/{name}.json"
         texts[document], sources[document] = read_text(path), str(path)
         chosen[name] = setpoints.get(name, axis.setpoint)
+        sources[f"setpoints.{name}"] = (
+            origins.get(f"setpoints.{name}", f"--setpoint {name}")
+            if name in setpoints
+            else f"{of_axis}.setpoint"
+        )
         file = csv_file(chosen[name])
         if file is not None:
             path = Path(file) if name in setpoints else base / file
@@ -96,7 +106,8 @@ def setup_from_texts(
 ) -> RunSetup:
     """Build and cross-check a setup from its documents, as a recording holds them.
 
-    ``sources`` are the files that the documents were read from, for errors; without one its name is used.
+    ``sources`` are the files that the documents were read from, for errors, and where the setpoints
+    (``setpoints.vertical``) are from; without one its name is used.
     Raises DocumentError or SetpointError.
     """
     sources = sources or {}
@@ -113,8 +124,12 @@ def setup_from_texts(
             raise SetpointError(f"no setpoint for axis {name}")
         is_table = csv_file(setpoints[name]) is not None
         table = _part(texts, f"setpoints/{name}.csv") if is_table else ""
-        parsed[name] = parse_setpoint(setpoints[name], table)
-        check_within(parsed[name], name, axis.min_y, axis.max_y, axis.unit)
+        try:
+            parsed[name] = parse_setpoint(setpoints[name], table)
+            check_within(parsed[name], name, axis.min_y, axis.max_y, axis.unit)
+        except SetpointError as error:
+            origin = sources.get(f"setpoints.{name}", f"setpoints.{name}")
+            raise SetpointError(f"{origin}: {error}") from None
     return RunSetup(rig, files, parsed, dict(texts))
 
 
@@ -133,14 +148,15 @@ def shipped_controllers() -> list[str]:
     return sorted(path.stem for path in SHIPPED_CONTROLLERS.glob("*.json"))
 
 
-def _controller_path(name: str, base: Path) -> Path:
-    """A shipped name, or a file relative to ``base``."""
+def _controller_path(name: str, base: Path, origin: str) -> Path:
+    """A shipped name, or a file relative to ``base``; ``origin`` is where it is named, for errors."""
     if name in shipped_controllers():
         return SHIPPED_CONTROLLERS / f"{name}.json"
     path = base / name
     if not path.exists():
         raise DocumentError(
-            f"controller {name!r}: no file {path}, and none of the shipped {', '.join(shipped_controllers())}"
+            f"{origin}: controller {name!r}: no file {path}, and none of the shipped "
+            f"{', '.join(shipped_controllers())}"
         )
     return path
 

@@ -29,7 +29,7 @@ FORMS = (
 )
 SHORTEST_SPAN_S = 0.001
 """Of a hold, a ramp or a sine: the shortest period that a loop may have."""
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|inf)"
 _FORM = re.compile(
     rf"(?P<kind>step|ladder|ramp|minimum-jerk|sine):(?P<values>{_NUMBER}(?:,{_NUMBER})*)"
     rf"@(?P<start>{_NUMBER})(?:/(?P<span>{_NUMBER}))?"
@@ -62,10 +62,13 @@ def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
     match = _FORM.fullmatch(text)
     if match is None:
         raise SetpointError(f"setpoint {text!r} is none of: {FORMS}")
+    for number in re.findall(_NUMBER, text.partition(":")[2]):
+        if not math.isfinite(float(number)):
+            raise SetpointError(f"setpoint {text!r}: {number} is not finite")
     kind = match["kind"]
     values = [float(value) for value in match["values"].split(",")]
     start = float(match["start"])
-    if not 0 <= start < math.inf:
+    if start < 0:
         raise SetpointError(f"setpoint {text!r}: TIME {start:g} s must be 0 or more, from the run's begin")
     if kind != "ladder" and len(values) != 1:
         raise SetpointError(f"setpoint {text!r}: {kind} takes one size, not {len(values)}")
@@ -73,7 +76,7 @@ def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
         lack = "takes no /..." if kind == "step" else "lacks its /SECONDS"
         raise SetpointError(f"setpoint {text!r}: {kind} {lack}; forms: {FORMS}")
     span = float(match["span"] or 1.0)
-    if not SHORTEST_SPAN_S <= span < math.inf:
+    if span < SHORTEST_SPAN_S:
         raise SetpointError(f"setpoint {text!r}: /{span:g} s must be {SHORTEST_SPAN_S} s or more")
     at = _FUNCTIONS[kind](values, start, span)
     lowest, highest = min(0.0, *values), max(0.0, *values)

@@ -62,7 +62,7 @@ def _free_path() -> Path:
     name = time.strftime("%Y%m%d-%H%M%S")
     path = FOLDER / f"{name}{SUFFIX}"
     number = 1
-    while path.exists():
+    while any(os.path.lexists(file) for file in (path, picture_of(path), figure_of(path))):
         number += 1
         path = FOLDER / f"{name}-{number}{SUFFIX}"
     return path

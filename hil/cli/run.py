@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from firmware_sim.plant_options import add_plant_options, check_plant_options, plant_texts
 from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
 from hil.cli.record_path import figure_of, picture_of, recording_path
-from hil.errors import DocumentError, HilError
+from hil.errors import DocumentError, HilError, LinkError, RecordingExistsError
 from hil.recording.recorder import RecorderReport
 from hil.run_setup import RunSetup, load_setup, read_text, shipped_controllers
 from hil.setpoints import FORMS
@@ -41,6 +41,10 @@ def main(argv: list[str]) -> int:
     scenario, scenario_text = _scenario(options)
     setup = _setup(options, scenario, scenario_text)
     bus = SIMULATED if options.lockstep else options.bus or setup.rig.bus.channel
+    if bus == "pty":
+        raise LinkError(
+            "pty is a bus of firmware-sim: start `firmware-sim --bus pty`, which says what to join it with"
+        )
     if bus == SIMULATED:
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
     elif options.arm or options.linear or options.event:
@@ -51,12 +55,18 @@ def main(argv: list[str]) -> int:
         sys.stderr.write("The scenario's events are the simulated arm's: firmware-sim --scenario has them.\n")
     duration_s = options.duration or (scenario.duration_s if scenario else DEFAULT_DURATION_S)
     plan = RunPlan(duration_s, setup.rig.loop.period_s)
-    path = recording_path(options.record, duration_s, is_drawn_twice=scenario is not None)
-    if options.lockstep:
-        report = run_lockstep(setup, plan, path, duration_s, options)
-    else:
-        report = run_realtime(setup, plan, path, bus, options)
-    return _tell(plan, report, scenario)
+    while True:
+        path = recording_path(options.record, duration_s, is_drawn_twice=scenario is not None)
+        try:
+            if options.lockstep:
+                report = run_lockstep(setup, plan, path, duration_s, options)
+            else:
+                report = run_realtime(setup, plan, path, bus, options)
+        except RecordingExistsError:
+            if options.record is not None:
+                raise
+            continue  # another run, begun at the same time, took the name
+        return _tell(plan, report, scenario)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -97,18 +107,25 @@ def _scenario(options: argparse.Namespace) -> tuple[Scenario | None, str]:
 
 def _setup(options: argparse.Namespace, scenario: Scenario | None, scenario_text: str) -> RunSetup:
     """Rig file, then scenario or what the linear plant wants, then options: the later wins."""
-    controllers, setpoints = _by_axis(options.controller), _by_axis(options.setpoint)
-    texts = {}
+    controllers = _by_axis("--controller", options.controller)
+    setpoints = _by_axis("--setpoint", options.setpoint)
+    texts, origins = {}, {}
     if scenario is not None:
         from firmware_sim.scenario import check_axes
 
         check_axes(scenario, load_setup(options.rig, {}, {}).rig.axes, f"scenario {options.scenario}")
+        for key, named, given in (
+            ("controllers", scenario.controllers, controllers),
+            ("setpoints", scenario.setpoints, setpoints),
+        ):
+            for name in named.keys() - given.keys():
+                origins[f"{key}.{name}"] = f"scenario {options.scenario}: {key}.{name}"
         controllers, setpoints = scenario.controllers | controllers, scenario.setpoints | setpoints
         texts["scenario.toml"] = scenario_text
     if options.linear:
         units = {name: axis.unit for name, axis in load_setup(options.rig, {}, {}).rig.axes.items()}
         controllers = {name: LINEAR_CONTROLLERS[unit] for name, unit in units.items()} | controllers
-    return load_setup(options.rig, controllers, setpoints, texts)
+    return load_setup(options.rig, controllers, setpoints, texts, origins)
 
 
 def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> int:
@@ -168,12 +185,14 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
     return 1
 
 
-def _by_axis(given: list[str]) -> dict[str, str]:
-    pairs = {}
+def _by_axis(option: str, given: list[str]) -> dict[str, str]:
+    pairs: dict[str, str] = {}
     for text in given:
         name, equals, value = text.partition("=")
         if not equals or not name or not value:
             raise DocumentError(f"{text!r} is not AXIS=VALUE, such as vertical=ppid")
+        if name in pairs:
+            raise DocumentError(f"{option} {name}: given twice, {pairs[name]!r} and {value!r}")
         pairs[name] = value
     return pairs
 

@@ -11,7 +11,7 @@ import sys
 from collections import Counter, deque
 from pathlib import Path
 
-from hil.errors import RecordingError
+from hil.errors import RecordingError, RecordingExistsError
 from hil.events import Event, Severity
 from hil.processes import await_end
 from hil.recording.handover import BATCH, BLOCK_HEADER, LOSSLESS, REAL_TIME, index_messages
@@ -140,7 +140,7 @@ def _start_process(path: Path, lossless: bool) -> subprocess.Popen[bytes]:
     try:
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     except FileExistsError:
-        raise RecordingError(
+        raise RecordingExistsError(
             f"{path}: exists already, and a recording never overwrites: remove it or choose another name"
         ) from None
     except OSError as error:

@@ -62,6 +62,12 @@ def test_signals_end_the_run_with_centred_valves(tmp_path: Path, number: signal.
         (["--setpoint", "vertical=jump:1"], ["jump:1", "step:SIZE@TIME"]),
         (["--setpoint", "elbow=step:0.1@1"], ["elbow", "vertical, horizontal, rotation"]),
         (["--setpoint", "vertical"], ["'vertical'", "AXIS=VALUE"]),
+        (
+            ["--setpoint", "vertical=step:0@1", "--setpoint", "vertical=step:0@2"],
+            ["--setpoint vertical: given twice", "step:0@2"],
+        ),
+        (["--scenario", "bad.toml"], ["scenario bad.toml: setpoints.rotation: setpoint 'hop' is none of"]),
+        (["--bus", "pty"], ["firmware-sim --bus pty"]),
         (["--controller", "vertical=nosuch.json"], ["nosuch.json", "ppid"]),
         (["--controller", "rotation=zn"], ["rotation", "input_unit", "rad"]),
         (["--rig", "nosuch.toml"], ["nosuch.toml", "No such file"]),
@@ -77,6 +83,7 @@ def test_mistakes_are_explained(
     words: list[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    Path("bad.toml").write_text('title = "bad"\nduration_s = 1.0\nsetpoints.rotation = "hop"\n')
     assert main(["run", "--duration", "1", *arguments]) == 2
     told = capsys.readouterr().err
     assert "Traceback" not in told
@@ -99,6 +106,23 @@ def test_silent_bus_is_explained(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "boards did not come up" in done.stdout.lower().replace("\n", " ")
+
+
+def test_a_name_that_another_run_took_meanwhile_is_left_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of runs without a name that begin within one second."""
+    monkeypatch.chdir(tmp_path)
+    taken = Path("runs/20260101-000000.mcap")
+    names = iter([taken, taken, Path("runs/20260101-000000-2.mcap")])
+    taken.parent.mkdir()
+    taken.write_bytes(b"precious")
+    monkeypatch.setattr("hil.cli.run.recording_path", lambda *_args, **_kwargs: next(names))
+    assert main(["run", "--lockstep", "--linear", "--duration", "0.1"]) == 0
+    assert Recording(Path("runs/20260101-000000-2.mcap")).complete
+    assert taken.read_bytes() == b"precious"
+    names = iter([taken])
+    assert main(["run", "--lockstep", "--duration", "0.1", "--record", str(taken)]) == 2
 
 
 def test_boards_whose_samples_are_refused_are_explained(

@@ -203,7 +203,19 @@ def test_one_to_three_axes() -> None:
     assert refusal(head) == "my.toml: object missing required field `axes`"
     assert refusal(head + "[axes]\n").startswith("my.toml: axes: expected `object` of length >= 1")
     fourth = EXAMPLE[EXAMPLE.index("[axes.rotation]") :].replace("rotation", "gripper")
-    assert refusal(EXAMPLE + fourth) == "my.toml: axes: expected `object` of length <= 3"
+    assert refusal(EXAMPLE + fourth) == (
+        "my.toml: axes: vertical, horizontal, rotation, gripper: the boards have channels for 3 axes, not 4"
+    )
+
+
+def test_a_table_of_an_axis_whose_name_is_misspelt_is_named() -> None:
+    """Its other tables, of the right name, make an axis too."""
+    text = EXAMPLE.replace("[axes.rotation]", "[axes.rotatoin]")
+    assert re.fullmatch(
+        r"my\.toml: axes\.(rotatoin: object missing required field `potentiometer`"
+        r"|rotation: object missing required field `unit`)",
+        refusal(text),
+    )
 
 
 @pytest.mark.parametrize("name", ["", "../etc", "a b", "é", "1st", "a.b", "a=b", "a\\n"])

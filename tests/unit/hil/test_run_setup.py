@@ -127,8 +127,8 @@ class TestRefusals:
     def test_a_controller_that_is_not_there(self, tmp_path: Path) -> None:
         rig = rig_file(tmp_path, {"axes.vertical.controller": '"pppid"'})
         assert refusal(rig, {}, {}) == (
-            f"controller 'pppid': no file {tmp_path / 'pppid'}, and none of the shipped "
-            + ", ".join(shipped_controllers())
+            f"{rig}: axes.vertical.controller: controller 'pppid': no file {tmp_path / 'pppid'}, "
+            "and none of the shipped " + ", ".join(shipped_controllers())
         )
 
     def test_a_file_is_named_as_the_user_named_it(
@@ -158,14 +158,28 @@ class TestRefusals:
 
     def test_a_setpoint_beyond_the_axis(self) -> None:
         assert refusal(None, {}, {"vertical": "step:0.2@1"}) == (
-            "vertical: setpoint 'step:0.2@1' reaches 0.2 m, beyond 0.15 m (rig: axes.vertical.max_y)"
+            "--setpoint vertical: vertical: setpoint 'step:0.2@1' reaches 0.2 m, beyond 0.15 m "
+            "(rig: axes.vertical.max_y)"
+        )
+
+    def test_where_a_setpoint_or_a_controller_is_named(self, tmp_path: Path) -> None:
+        rig = rig_file(tmp_path, {"axes.vertical.setpoint": '"hop:1"'})
+        assert refusal(rig, {}, {}).startswith(f"{rig}: axes.vertical.setpoint: setpoint 'hop:1' is none of")
+        assert refusal(rig, {}, {"vertical": "hop"}).startswith("--setpoint vertical: setpoint 'hop' is none")
+        assert refusal(None, {"rotation": "k"}, {}).startswith(
+            "--controller rotation: controller 'k': no file"
+        )
+        origins = {"setpoints.vertical": "scenario s.toml: setpoints.vertical"}
+        assert refusal(None, {}, {"vertical": "hop"}, None, origins).startswith(
+            "scenario s.toml: setpoints.vertical: setpoint 'hop' is none of"
         )
 
     def test_a_csv_beyond_the_axis(self, tmp_path: Path) -> None:
         (tmp_path / "r.csv").write_text("0,0\n1,-0.2\n")
         text = f"csv:{tmp_path / 'r.csv'}"
         assert refusal(None, {}, {"vertical": text}) == (
-            f"vertical: setpoint {text!r} reaches -0.2 m, beyond -0.15 m (rig: axes.vertical.min_y)"
+            f"--setpoint vertical: vertical: setpoint {text!r} reaches -0.2 m, beyond -0.15 m "
+            "(rig: axes.vertical.min_y)"
         )
 
     def test_a_rig_file_is_named_by_its_path(self, tmp_path: Path) -> None:
