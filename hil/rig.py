@@ -19,6 +19,10 @@ VOLTS_PER_COUNT = 10.0 / 32768
 HIGHEST_WIRE_V = 32767 * VOLTS_PER_COUNT
 """The most that an analogue channel of the DBC can carry."""
 
+LONGEST_HOLD_S = 2.0
+"""Valves do not hold for longer on their last command, whoever ends it: an arm goes far in that time."""
+LONGEST_SILENCE_S = 10.0
+"""Nor is a board without a heartbeat trusted for longer."""
 CHANNELS = 3
 """Of either board."""
 
@@ -137,11 +141,7 @@ def read_rig(text: str, source: str) -> Rig:
     Raises DocumentError naming file, key, value and limit.
     """
     rig = from_toml(text, Rig, source)
-    if rig.dac.heartbeat_timeout_periods <= rig.gateway.heartbeat_periods:
-        raise DocumentError(
-            f"{source}: dac.heartbeat_timeout_periods: {rig.dac.heartbeat_timeout_periods} does not exceed "
-            f"gateway.heartbeat_periods {rig.gateway.heartbeat_periods}: the board would miss every heartbeat"
-        )
+    _check_periods(rig, source)
     if len(rig.axes) > CHANNELS:
         raise DocumentError(
             f"{source}: axes: {', '.join(rig.axes)}: the boards have channels for {CHANNELS} axes, "
@@ -157,6 +157,31 @@ def read_rig(text: str, source: str) -> Rig:
     for part in ("potentiometer", "valve"):
         _check_channels(rig, part, source)
     return rig
+
+
+def _check_periods(rig: Rig, source: str) -> None:
+    if rig.dac.heartbeat_timeout_periods <= rig.gateway.heartbeat_periods:
+        raise DocumentError(
+            f"{source}: dac.heartbeat_timeout_periods: {rig.dac.heartbeat_timeout_periods} does not exceed "
+            f"gateway.heartbeat_periods {rig.gateway.heartbeat_periods}: the board would miss every heartbeat"
+        )
+    if rig.dac.watchdog_periods <= rig.adc.stale_after_periods:
+        raise DocumentError(
+            f"{source}: dac.watchdog_periods: {rig.dac.watchdog_periods} does not exceed "
+            f"adc.stale_after_periods {rig.adc.stale_after_periods}: the board would centre its valves "
+            "behind the gateway's back"
+        )
+    for key, periods, longest_s in (
+        ("adc.stale_after_periods", rig.adc.stale_after_periods, LONGEST_HOLD_S),
+        ("dac.watchdog_periods", rig.dac.watchdog_periods, LONGEST_HOLD_S),
+        ("adc.heartbeat_timeout_periods", rig.adc.heartbeat_timeout_periods, LONGEST_SILENCE_S),
+        ("dac.heartbeat_timeout_periods", rig.dac.heartbeat_timeout_periods, LONGEST_SILENCE_S),
+    ):
+        if periods * rig.loop.period_s > longest_s:
+            raise DocumentError(
+                f"{source}: {key}: {periods} periods of {rig.loop.period_s:g} s are "
+                f"{periods * rig.loop.period_s:g} s, more than {longest_s:g} s"
+            )
 
 
 def _check_axis(axis: Axis, where: str) -> None:

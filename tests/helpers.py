@@ -54,7 +54,9 @@ SYNC = Frame(codec.SYNC)
 def rig_text(changes: Mapping[str, str] | None = None, axes: Sequence[str] = AXES) -> str:
     """The shipped rig file with ``FIXED`` and ``changes`` (dotted key to TOML literal), of ``axes`` alone."""
     lines = EXAMPLE_RIG.splitlines()
-    for dotted, literal in (FIXED | dict(changes or {})).items():
+    stale = (changes or {}).get("adc.stale_after_periods", "0")
+    patience = {"dac.watchdog_periods": str(int(stale) + 2)} if stale.isdecimal() and int(stale) > 3 else {}
+    for dotted, literal in (FIXED | patience | dict(changes or {})).items():
         table, _, key = dotted.rpartition(".")
         number = line_of(lines, table, key)
         lines[number] = f"{key} = {literal}"

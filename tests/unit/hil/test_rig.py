@@ -49,7 +49,47 @@ class TestTheExample:
     ("period_s", "period_ns"), [("0.001", 1_000_000), ("1.0", 10**9), ("0.07", 70_000_000)]
 )
 def test_the_period_in_nanoseconds_is_exact(period_s: str, period_ns: int) -> None:
-    assert read_rig(rig_text({"loop.period_s": period_s}), "r").loop.period_ns == period_ns
+    changes = {
+        "loop.period_s": period_s,
+        "adc.stale_after_periods": "1",
+        "dac.watchdog_periods": "2",
+        "gateway.heartbeat_periods": "1",
+        "adc.heartbeat_timeout_periods": "10",
+        "dac.heartbeat_timeout_periods": "10",
+    }
+    assert read_rig(rig_text(changes), "r").loop.period_ns == period_ns
+
+
+@pytest.mark.parametrize(
+    ("key", "longest", "limit_s"),
+    [
+        ("adc.stale_after_periods", 178, 2),
+        ("dac.watchdog_periods", 178, 2),
+        ("adc.heartbeat_timeout_periods", 892, 10),
+        ("dac.heartbeat_timeout_periods", 892, 10),
+    ],
+)
+def test_no_time_out_is_longer_than_an_arm_may_be_left_alone(key: str, longest: int, limit_s: int) -> None:
+    more = {"dac.watchdog_periods": "1000"} if key == "adc.stale_after_periods" else {}
+    enough = {"dac.watchdog_periods": "178"} if key == "adc.stale_after_periods" else {}
+    read_rig(rig_text(enough | {key: str(longest - 1)}), "r")
+    assert refusal(rig_text(more | {key: str(longest + 1)})) == (
+        f"my.toml: {key}: {longest + 1} periods of 0.0112 s are {(longest + 1) * 0.0112:g} s, "
+        f"more than {limit_s} s"
+    )
+
+
+@pytest.mark.parametrize(("stale", "is_refused"), [(4, False), (5, True), (6, True)])
+def test_the_board_waits_for_longer_than_the_gateway(stale: int, is_refused: bool) -> None:
+    """Else it centres the valves while the gateway takes them to hold."""
+    text = rig_text({"adc.stale_after_periods": str(stale), "dac.watchdog_periods": "5"})
+    if is_refused:
+        assert refusal(text) == (
+            f"my.toml: dac.watchdog_periods: 5 does not exceed adc.stale_after_periods {stale}: the board "
+            "would centre its valves behind the gateway's back"
+        )
+    else:
+        read_rig(text, "r")
 
 
 POT, VALVE = "axes.vertical.potentiometer", "axes.vertical.valve"
@@ -150,7 +190,6 @@ def test_two_axes_on_one_channel_are_refused(part: str) -> None:
     ("key", "literal"),
     [
         ("loop.period_s", "0.001"),
-        ("loop.period_s", "1"),
         ("gateway.heartbeat_periods", "26"),
         (f"{VALVE}.max_v", repr(HIGHEST_WIRE_V)),
         (f"{POT}.max_v", repr(HIGHEST_WIRE_V)),
