@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from firmware_sim.arm.event_text import FORMS, parse_event
+from firmware_sim.arm.event_text import FORMS, event_text, parse_event
 from firmware_sim.arm.parameters import read_arm, shipped_arm_text
 from firmware_sim.arm.wiring import wiring
 from firmware_sim.plant import Plant
@@ -75,6 +75,13 @@ def plant_texts(rig: Rig, options: argparse.Namespace) -> dict[str, str]:
     if options.scenario is not None:
         texts["scenario.toml"] = _text(find_scenario(options.scenario))
     return texts
+
+
+def planned_events(options: argparse.Namespace) -> dict[str, float]:
+    """What will happen to the arm, by scenario and command line, and its seconds from the first sample on."""
+    scenario = _scenario(options)
+    changes = [*(scenario.events if scenario else ()), *map(parse_event, options.event)]
+    return {event_text(change): change.at_s for change in sorted(changes, key=lambda change: change.at_s)}
 
 
 def build_plant(rig: Rig, options: argparse.Namespace) -> tuple[Plant, str]:

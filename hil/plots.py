@@ -18,6 +18,8 @@ from hil.errors import RecordingError
 from hil.events import Event, Severity
 from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
+from hil.recording.recorder import ARM_EVENTS
+from hil.wire.codec import TPDO1_ADC
 
 BLUE, GREEN, VERMILION, GREY = "#0072B2", "#009E73", "#D55E00", "#666666"
 """From Okabe and Ito's palette, told apart by colour-blind readers."""
@@ -37,8 +39,8 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
     """Write the run as a PNG: a column an axis. Time 0 is where the controllers began to act.
 
     ``axes`` are those to draw, all of them when empty; ``title`` stands above a run without a fault. States
-    other than running are shaded, faults marked and named. Raises RecordingError when there is nothing to
-    draw, or ``path`` cannot be written.
+    other than running are shaded; faults, and what was planned for a simulated arm, are marked and named.
+    Raises RecordingError when there is nothing to draw, or ``path`` cannot be written.
     """
     timing = recording.timing()
     if len(timing) == 0:
@@ -49,11 +51,13 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
     units = {name: recording.axes[name] for name in axes or recording.axes}
     figure = Figure(figsize=(PANEL_WIDTH_IN * len(units), HEIGHT_IN), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
+    marks = _event_marks(recording, start_ns)
     panels = figure.subplots(2, len(units), sharex=True, squeeze=False, height_ratios=(3, 2))
     for (name, unit), (upper, lower) in zip(units.items(), panels.T, strict=True):
         upper.set_title(name)
         _draw_axis(upper, lower, recording.axis(name), start_ns, unit)
         _label_stays(upper, stays)
+        _mark_events(upper, lower, marks)
         for panel in (upper, lower):
             _shade_stays(panel, stays)
             for now_ns, _ in faults:
@@ -100,6 +104,33 @@ def _label_stays(panel: Axes, stays: list[_Stay]) -> None:
                 (from_s + to_s) / 2, 0.99, state, transform=panel.get_xaxis_transform(),
                 ha="center", va="top", fontsize=7, color=GREY,
             )  # fmt: skip
+
+
+def _event_marks(recording: Recording, start_ns: int) -> list[tuple[float, str]]:
+    """What happened to a simulated arm: seconds of the plot's time, and its name."""
+    planned = recording.metadata.get(ARM_EVENTS, {})
+    samples_ns = recording.times_received(TPDO1_ADC)
+    if not planned or len(samples_ns) == 0:
+        return []
+    first_s = (int(samples_ns[0]) - start_ns) * 1e-9
+    at_once: dict[float, list[str]] = {}
+    for text, at_s in planned.items():
+        at_once.setdefault(first_s + float(at_s), []).append(text.partition("@")[0])
+    return [(at_s, ", ".join(names)) for at_s, names in at_once.items()]
+
+
+def _mark_events(upper: Axes, lower: Axes, marks: list[tuple[float, str]]) -> None:
+    """A thin line through both panels, and the name on its inner side, where it lies within the run."""
+    first_s, last_s = upper.get_xlim()
+    for at_s, text in marks:
+        if not first_s <= at_s <= last_s:
+            continue
+        for panel in (upper, lower):
+            panel.axvline(at_s, color=GREY, linewidth=0.8, linestyle=":")
+        upper.text(
+            at_s, 0.02, f" {text}", transform=upper.get_xaxis_transform(), rotation=90,
+            ha="left" if at_s < (first_s + last_s) / 2 else "right", va="bottom", fontsize=6, color=GREY,
+        )  # fmt: skip
 
 
 def _fault_text(fault: Event) -> str:

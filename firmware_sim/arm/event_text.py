@@ -46,6 +46,17 @@ def parse_event(text: str) -> AnyChange:
     return change
 
 
+def event_text(change: AnyChange) -> str:
+    """The text of ``change``, which :func:`parse_event` reads back."""
+    plain = msgspec.to_builtins(change)
+    name, at_s = plain.pop("change").replace(" ", "-"), plain.pop("at_s")
+    return f"{name}:{','.join(map(_text, plain.values()))}@{_text(at_s)}"
+
+
+def _text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value).removesuffix(".0")
+
+
 def _value(text: str) -> Any:
     """As TOML would have it, strings without quotation marks."""
     if text in ("true", "false"):

@@ -18,13 +18,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_sim.plant_options import build_plant, plant_arguments
+from firmware_sim.plant_options import build_plant, planned_events, plant_arguments
 from hil import __version__
 from hil.errors import LinkError
 from hil.events import Event, Severity
 from hil.gateway import Gateway
 from hil.processes import await_end
-from hil.recording.recorder import Recorder, RecorderReport, RunHeader
+from hil.recording.recorder import ARM_EVENTS, Recorder, RecorderReport, RunHeader
 from hil.run_setup import RunSetup
 from hil.shells.run_plan import RunPlan, StopRequest
 from hil.shells.session import Session
@@ -56,7 +56,8 @@ def run_realtime(
             stack.enter_context(_boards_process(spec, options))
         link = stack.enter_context(open_link(spec))
         epoch_offset_ns = time.time_ns() - time.monotonic_ns()
-        header = _header(setup, epoch_offset_ns, spec, link.stamp_origin, _host_versions())
+        planned = planned_events(options) if bus == SIMULATED else {}
+        header = _header(setup, epoch_offset_ns, spec, link.stamp_origin, _host_versions(), planned)
         recorder = Recorder(path, header, lossless=False)
         display = Display(axes)
         stack.callback(display.close)
@@ -65,6 +66,7 @@ def run_realtime(
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display, most_refused)
             session.note(Event(Severity.INFO, "rights", str(rights)))
+            _announce(session, plan.duration_s, planned)
             error = run(session, link, stop_request)
         ending = _ending(plan, gateway) | {
             "frames dropped by the kernel": _dropped(link),
@@ -86,18 +88,36 @@ def run_lockstep(
     from hil.shells.lockstep import Lockstep
 
     plant, _ = build_plant(setup.rig, options)
-    recorder = Recorder(path, _header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}), lossless=True)
+    planned = planned_events(options)
+    header = _header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}, planned)
+    recorder = Recorder(path, header, lossless=True)
     lockstep = Lockstep(SimulatedRig(setup.rig, plant), 0)
     gateway = setup.gateway(setup.rig.loop.period_ns)
     with _stop_on_signals() as stop_request:
         with LockstepProgress(duration_s) as progress:
             session = Session(gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress)
+            _announce(session, duration_s, planned)
             lockstep.run(session, stop_request)
         return recorder.close({"ending": _ending(plan, gateway)})
 
 
+def _announce(session: Session, duration_s: float, planned: dict[str, float]) -> None:
+    """Note what will happen to the simulated arm, and warn of what the run does not live to see."""
+    for text, at_s in planned.items():
+        if at_s < duration_s:
+            event = Event(Severity.INFO, "arm", f"planned: {text} (s from the first sample on)")
+        else:
+            event = Event(Severity.WARNING, "arm", f"{text} lies after the end of the run, {duration_s:g} s")
+        session.note(event)
+
+
 def _header(
-    setup: RunSetup, epoch_offset_ns: int, bus: str, stamp_origin: str, versions: dict[str, str]
+    setup: RunSetup,
+    epoch_offset_ns: int,
+    bus: str,
+    stamp_origin: str,
+    versions: dict[str, str],
+    planned: dict[str, float],
 ) -> RunHeader:
     return RunHeader(
         epoch_offset_ns=epoch_offset_ns,
@@ -112,6 +132,7 @@ def _header(
             "documents": setup.digests(),
             "run": {"configuration sha256": setup.fingerprint(), "hil": __version__, **versions},
             "setpoints": {name: setpoint.text for name, setpoint in setup.setpoints.items()},
+            **({ARM_EVENTS: {text: repr(at_s) for text, at_s in planned.items()}} if planned else {}),
             **({"plant": json.loads(setup.texts["plant.json"])} if "plant.json" in setup.texts else {}),
         },
     )

@@ -167,7 +167,14 @@ class Recording:
 
     def times_sent(self, identifier: int) -> npt.NDArray[np.int64]:
         """When data frames of an 11-bit identifier had been handed to the link."""
-        rows = self._contents.rows("/can/tx", self.bus)
+        return self._times("/can/tx", identifier)
+
+    def times_received(self, identifier: int) -> npt.NDArray[np.int64]:
+        """When the core was given data frames of an 11-bit identifier."""
+        return self._times("/can/rx", identifier)
+
+    def _times(self, topic: str, identifier: int) -> npt.NDArray[np.int64]:
+        rows = self._contents.rows(topic, self.bus)
         chosen = (rows["id"] == identifier) & ~rows["is_extended"] & ~rows["is_rtr"]
         times_ns: npt.NDArray[np.int64] = rows["log_time"][chosen].astype(np.int64)
         return times_ns - self.epoch_offset_ns

@@ -30,12 +30,15 @@ from hil.recording.handover import (
 from hil.recording.pipe import RecorderPipe
 from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, layout_of
 
-__all__ = ["LINK_FAILED", "NOT_SENT", "Recorder", "RecorderReport", "RunHeader"]
+__all__ = ["ARM_EVENTS", "LINK_FAILED", "NOT_SENT", "Recorder", "RecorderReport", "RunHeader"]
 
 LINK_FAILED = "link failed: "
 """How a link's failure stands among the operator's commands: this, then the reason."""
 NOT_SENT = "not sent: "
 """How a frame that the bus did not take stands there, in its place among the answers."""
+
+ARM_EVENTS = "arm events"
+"""Metadata: what was planned to happen to a simulated arm, and its seconds from the first sample on."""
 
 BATCH_BYTES = 32 * 1024
 BATCH_AGE_NS = 200_000_000

@@ -11,9 +11,11 @@ from pathlib import Path
 import pytest
 
 from hil.cli import launch, main
+from hil.events import Event, Severity
 from hil.life_cycle import State
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
+from hil.summary import StepResponse, summarise
 
 HIL = [sys.executable, "-m", "hil.cli"]
 
@@ -123,6 +125,32 @@ def test_a_name_that_another_run_took_meanwhile_is_left_to_it(
     assert taken.read_bytes() == b"precious"
     names = iter([taken])
     assert main(["run", "--lockstep", "--duration", "0.1", "--record", str(taken)]) == 2
+
+
+def test_what_is_planned_for_the_arm_is_recorded_and_what_comes_too_late_is_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    events = ["--event", "payload:1@0.2", "--event", "payload:2@1"]
+    assert main(["run", "--lockstep", *events, "--duration", "1", "--record", str(path)]) == 0
+    recording = Recording(path)
+    assert [event for _, event in recording.events() if event.source == "arm"] == [
+        Event(Severity.INFO, "arm", "planned: payload:1@0.2 (s from the first sample on)"),
+        Event(Severity.WARNING, "arm", "payload:2@1 lies after the end of the run, 1 s"),
+    ]
+    assert recording.metadata["arm events"] == {"payload:1@0.2": "0.2", "payload:2@1": "1.0"}
+    assert verify(recording).complete
+
+
+def test_each_axis_of_the_shipped_rig_answers_its_own_step(tmp_path: Path) -> None:
+    """The rotation throws the horizontal axis: their steps are apart, so that each reading is its own."""
+    path = tmp_path / "run.mcap"
+    assert main(["run", "--lockstep", "--record", str(path)]) == 0
+    axes = summarise(Recording(path)).axes
+    assert list(axes) == ["vertical", "horizontal", "rotation"]
+    for axis in axes.values():
+        assert isinstance(axis, StepResponse)
+        assert axis.overshoot_percent < 1.0
+        assert axis.settling_s is not None
+        assert axis.settling_s < 1.6
 
 
 def test_boards_whose_samples_are_refused_are_explained(

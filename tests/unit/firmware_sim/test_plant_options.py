@@ -12,8 +12,15 @@ import pytest
 from support.arm_files import SHIPPED_TEXT
 
 from firmware_sim.arm.arm import Arm
+from firmware_sim.arm.event_text import parse_event
 from firmware_sim.linear_plant import LinearPlant
-from firmware_sim.plant_options import add_plant_options, build_plant, plant_arguments, plant_texts
+from firmware_sim.plant_options import (
+    add_plant_options,
+    build_plant,
+    planned_events,
+    plant_arguments,
+    plant_texts,
+)
 from hil.errors import DocumentError
 from hil.rig import read_rig
 
@@ -49,6 +56,22 @@ def test_events_come_on_top_of_the_scenarios() -> None:
     assert subject.view().payload_kg == 3.0
     subject.advance(500_000_000, CENTRED)
     assert subject.view().payload_kg == 1.0
+
+
+def test_what_is_planned_is_told_in_its_order_and_reads_back() -> None:
+    texts = ["leak:vertical,1,1e-08@2.5", "stuck-spool:rotation,false@2", "friction:horizontal,1.5@3"]
+    planned = planned_events(
+        options("--scenario", "fig14", *(part for t in texts for part in ("--event", t)))
+    )
+    assert planned == {
+        "payload:3@0": 0.0,
+        "supply-pressure:400@0": 0.0,
+        "stuck-spool:rotation,false@2": 2.0,
+        "leak:vertical,1,1e-08@2.5": 2.5,
+        "friction:horizontal,1.5@3": 3.0,
+    }
+    assert {text: parse_event(text).at_s for text in planned} == planned
+    assert planned_events(options("--linear")) == {}
 
 
 def test_the_plant_in_words_has_its_scenario_and_its_events() -> None:

@@ -17,9 +17,20 @@ from support.recorded_runs import AXES, RUN_HEADER, START_NS, in_memory, record_
 from hil.errors import RecordingError
 from hil.events import Event, Severity
 from hil.life_cycle import State
-from hil.plots import BLUE, DPI, GREEN, GREY, HEIGHT_IN, PANEL_WIDTH_IN, VERMILION, plot_run
+from hil.plots import (
+    BLUE,
+    DPI,
+    GREEN,
+    GREY,
+    HEIGHT_IN,
+    PANEL_WIDTH_IN,
+    VERMILION,
+    _event_marks,
+    plot_run,
+)
 from hil.recording.reader import Recording
-from hil.recording.recorder import Recorder
+from hil.recording.recorder import ARM_EVENTS, Recorder
+from hil.wire.codec import TPDO1_ADC
 
 
 def drawn(recording_path: Path) -> npt.NDArray[np.float32]:
@@ -76,6 +87,32 @@ def test_a_fault_is_shaded_and_named(tmp_path: Path) -> None:
     title = slice(0, 40)
     assert not pixels_of(good[title], VERMILION).any()
     assert pixels_of(bad[title], VERMILION).sum() > 50
+
+
+def test_what_was_planned_for_the_arm_is_marked_where_it_happens(tmp_path: Path) -> None:
+    """The seconds count from the first sample; what lies after the end changes nothing."""
+    recording_path = tmp_path / "run.mcap"
+    planned = {"payload:3@1": "1.0", "temperature:0@1": "1.0", "payload:0@99": "99.0"}
+    metadata = {**RUN_HEADER.metadata, ARM_EVENTS: planned}
+    record_run(recording_path, 300, header=msgspec.structs.replace(RUN_HEADER, metadata=metadata))
+    recording = Recording(recording_path)
+    start_ns = int(recording.timing()["wake_ns"][3])
+    assert _event_marks(recording, start_ns) == [
+        (
+            pytest.approx(1.0 + (recording.times_received(TPDO1_ADC)[0] - start_ns) / 1e9),
+            "payload:3, temperature:0",
+        ),
+        (pytest.approx(98.967, abs=0.002), "payload:0"),
+    ]
+    with_marks = drawn(recording_path)
+    record_run(tmp_path / "plain.mcap", 300)
+    plain = drawn(tmp_path / "plain.mcap")
+    columns = np.flatnonzero((np.abs(with_marks - plain).max(axis=2) > 0.3).sum(axis=0) > 100)
+    assert 3 <= len(columns) <= 9, "a thin line a panel"
+    width = plain.shape[1] / 3
+    places = columns / width % 1.0
+    assert np.ptp(places) < 0.05
+    assert 0.3 < places.mean() < 0.5
 
 
 def test_without_a_period_there_is_nothing_to_draw(tmp_path: Path) -> None:
