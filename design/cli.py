@@ -96,7 +96,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=_seed, metavar="N", help="seed of every search (1)")
     parser.add_argument("--axis-unit", choices=("m", "rad"), help="refuse a plant in another unit")
     parser.add_argument(
-        "--measured", type=Path, metavar="CSV", help="record time_s,u,y to hold the model against"
+        "--measured",
+        type=Path,
+        metavar="CSV",
+        help="record time_s,u,y to hold the model against (a shipped plant's own)",
     )
     parser.add_argument(
         "--out",
@@ -146,10 +149,11 @@ def _read(options: argparse.Namespace) -> _Inputs:
     for other, name in zip(further, design_file.further_plants.files, strict=True):
         check_plant_fits(other, name, plant.output_unit)
     measured = None
-    if options.measured:
+    record = options.measured or _shipped_record(options.plant)
+    if record:
         from design.measured import compare
 
-        measured = compare(plant, _text(options.measured), str(options.measured))
+        measured = compare(plant, _text(record), str(options.measured or f"the shipped {record.name}"))
     return _Inputs(design_file, plant, further, measured)
 
 
@@ -239,7 +243,7 @@ def _tell(console: Console, design: Design, measured: ModelFit | None, directory
     for hint in hints(design):
         console.print(hint, style="yellow")
     if measured is not None:
-        console.print(f"the model follows the measured record to {measured.fit_percent:.1f} %")
+        console.print(f"the model follows {measured.source} to {measured.fit_percent:.1f} %")
     unstable = [c.name for c, m in zip(design.candidates, design.measures, strict=True) if runs_unstable(m)]
     if unstable:
         console.print(f"not written, unstable in the rig's loop: {', '.join(unstable)}")
@@ -321,6 +325,12 @@ def _plant(name: str) -> Plant:
 
 def _shipped_plants() -> list[str]:
     return sorted(path.stem for path in PLANTS.glob("*.json"))
+
+
+def _shipped_record(name: str) -> Path | None:
+    """The record beside a shipped plant; the paper's was not printed."""
+    path = PLANTS / f"{name}.csv"
+    return path if name in _shipped_plants() and path.exists() else None
 
 
 def _text(path: Path) -> str:

@@ -69,8 +69,8 @@ def identification(measured: ModelFit, unit: str) -> Figure:
     return Figure(
         "fig5-identification",
         "Fig. 5. Measured output and output of the model",
-        f"The model follows the record to {measured.fit_percent:.2f} % (100 % less the relative root mean "
-        "square of the difference), its initial state and the record's offset fitted.",
+        f"The model follows {measured.source} to {measured.fit_percent:.2f} % (100 % less the relative root "
+        "mean square of the difference), its initial state and the record's offset fitted.",
         draw([output, drive], "Fig 5"),
     )
 

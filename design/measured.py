@@ -34,6 +34,7 @@ FACTORS = {
 class ModelFit:
     """Record and model, arrays (k,) over ``time_s``."""
 
+    source: str
     time_s: Array
     input_v: Array
     measured: Array
@@ -62,7 +63,7 @@ def compare(plant: Plant, text: str, source: str) -> ModelFit:
         raise DocumentError(f"{source}: y never changes; there is nothing to compare")
     forced, free = _motions(plant, u, period_s)
     model = forced + free @ np.linalg.lstsq(free, y - forced, rcond=None)[0]
-    fit = ModelFit(time_s - time_s[0], u, y, model)
+    fit = ModelFit(source, time_s - time_s[0], u, y, model)
     if fit.fit_percent >= POOR_PERCENT:
         return fit
     return replace(
@@ -110,11 +111,20 @@ def _motions(plant: Plant, u: Array, period_s: float) -> tuple[Array, Array]:
 
 
 def _filtered(num: Array, den: Array, u: Array) -> Array:
-    """num/den in falling powers of z, applied to u from rest."""
-    from scipy.signal import lfilter
+    """num/den in falling powers of z, applied to u from rest; transposed direct form II.
 
-    lead = np.zeros(len(den) - len(num))
-    return np.asarray(lfilter(np.concatenate([lead, num]), den, u), dtype=float)
+    A loop, for importing scipy.signal takes longer than records do.
+    """
+    n = len(den) - 1
+    lead = [0.0] * (len(den) - len(num))
+    b, a = [*lead, *(num / den[0]).tolist()], (den / den[0]).tolist()
+    states, y = [0.0] * (n + 1), []
+    for x in u.tolist():
+        out = b[0] * x + states[0]
+        for i in range(n):
+            states[i] = b[i + 1] * x - a[i + 1] * out + states[i + 1]
+        y.append(out)
+    return np.array(y)
 
 
 def _columns(text: str, source: str) -> tuple[Array, Array, Array]:

@@ -50,8 +50,11 @@ from design.weight_selection import select_weight
 
 WEIGHTS, CONTROLLERS = 2000, 6000
 SEEDS = 40
+TARGET_RATIO = 200
+"""To the same search with python-control and slycot. Not reached: slycot's Fortran takes its 1 to 2 ms a candidate
+with the loop already in state space, and with all readings exact ours takes some 0.03 ms."""
 LEAST_RATIO = 20
-"""To python-control and slycot in state space."""
+"""Held against the faster of the two, lest what there is be lost."""
 PLANT, PID = paper_plant(), STRUCTURES["pid"]
 BOX = Box(PID.parameters)
 
@@ -258,9 +261,9 @@ def main() -> None:
     print(
         f"  in state space {1e6 * weight_each:.0f} us a weight, {1e6 * controller_each:.0f} us a controller: "
     )
-    print(f"    {peer:.1f} s in all; ours is {peer / ours:.0f} times faster (at least {LEAST_RATIO})")
+    print(f"    {peer:.1f} s in all; ours is {peer / ours:.0f} times faster ({_judged(peer / ours)})")
     print(f"  as transfer functions {1e6 * formula_each:.0f} us a controller: {naive:.1f} s in all,")
-    print(f"    ours is {naive / ours:.0f} times faster")
+    print(f"    ours is {naive / ours:.0f} times faster ({_judged(naive / ours)})")
     missed += ["python-control"] if peer < LEAST_RATIO * ours else []
 
     in_one_batch()
@@ -298,6 +301,12 @@ def main() -> None:
     missed += ["hil design"] if min(spent) > 3.0 else []
     if missed:
         sys.exit(f"missed: {', '.join(missed)}")
+
+
+def _judged(ratio: float) -> str:
+    """The ratio beside what the project set out for, and what this benchmark fails under."""
+    verdict = "reached" if ratio >= TARGET_RATIO else f"NOT reached: {ratio / TARGET_RATIO:.0%} of it"
+    return f"to reach: {TARGET_RATIO}; {verdict}; held: at least {LEAST_RATIO}"
 
 
 def in_one_batch() -> None:

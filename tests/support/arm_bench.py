@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.parameters import ArmParameters
+from firmware_sim.arm.parameters import ArmParameters, shipped_arm
 from hil.controller_file import Pid
 from hil.laws import ControlLaw
 
@@ -75,6 +75,19 @@ def excite(
         offsets[axis] = float(offset)
         bench.hold(offsets)
     return u, y
+
+
+def record_for_fig_5(axis: int) -> str:
+    """The CSV beside a shipped plant: excited as for its identification, by a seed that was not used there.
+
+    In tests/: python -c "from support.arm_bench import *; print(record_for_fig_5(0), end='')" > vertical.csv
+    """
+    u, y = excite(shipped_arm(), axis, 0.4, seed=4, duration_s=16.0)
+    rows = (
+        f"{k * PERIOD_S:.4f},{volts:g},{position:.5f}\n"
+        for k, (volts, position) in enumerate(zip(u, y, strict=True))
+    )
+    return "time_s,u,y\n" + "".join(rows)
 
 
 class Model(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -217,7 +218,7 @@ def write_record(path: Path, y_unit: float = 1.0) -> None:
 def test_measured_record(here: Path, short: str, capsys: pytest.CaptureFixture[str]) -> None:
     write_record(here / "r.csv")
     assert main(["design", "--design", short, "--measured", "r.csv", "--out", "out"]) == 0
-    assert "the model follows the measured record to 100.0 %" in capsys.readouterr().out
+    assert "the model follows r.csv to 100.0 %" in capsys.readouterr().out
     assert Path("out/figures/fig5-identification.svg").exists()
     write_record(here / "mm.csv", 1000.0)
     assert main(["design", "--design", short, "--measured", "mm.csv", "--out", "out"]) == 1
@@ -227,6 +228,18 @@ def test_measured_record(here: Path, short: str, capsys: pytest.CaptureFixture[s
     assert "hil run" not in said
     (here / "bad.csv").write_text("time,u,y\n0,0,0\n")
     assert "bad.csv: column time_s is missing" in error_of(["--measured", "bad.csv"], capsys)
+
+
+def test_shipped_plants_of_the_arm_have_their_record(
+    here: Path, short: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for plant in ("vertical", "horizontal", "rotation"):
+        main(["design", plant, "--design", short])
+        assert re.search(f"the model follows the shipped {plant}.csv to 9[789]", capsys.readouterr().out)
+        assert Path(f"designs/{plant}/figures/fig5-identification.svg").exists()
+    write_record(here / "r.csv")
+    main(["design", "vertical", "--design", short, "--measured", "r.csv"])
+    assert "the model follows r.csv to" in capsys.readouterr().out, "the user's before the shipped"
 
 
 def test_a_plants_name_makes_a_safe_directory(here: Path, short: str) -> None:
@@ -376,7 +389,7 @@ def test_nothing_slow_is_imported(here: Path) -> None:
     (here / "short.toml").write_text(SHORT)
     slow = "{'matplotlib', 'control', 'scipy.signal', 'scipy.optimize', 'pandas'}"
     program = (
-        "import sys; from hil.cli import main; main(['design', '--design', 'short.toml']); "
+        "import sys; from hil.cli import main; main(['design', 'vertical', '--design', 'short.toml']); "
         f"sys.exit(bool({slow} & set(sys.modules)))"
     )
     subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)

@@ -139,7 +139,7 @@ def test_convergence_is_the_searchs_own(key: str) -> None:
 
 def test_record_and_model() -> None:
     t = np.arange(50) * 0.1
-    fit = ModelFit(t, np.sign(np.sin(t)), np.cos(t), np.cos(t) + 0.1)
+    fit = ModelFit("r.csv", t, np.sign(np.sin(t)), np.cos(t), np.cos(t) + 0.1)
     figure = design_figures(sampled_design(), fit)[0]
     assert figure.key == "fig5-identification"
     assert f"{fit.fit_percent:.2f} %" in figure.caption

@@ -95,7 +95,7 @@ def test_without_further_plants_it_says_what_is_guaranteed() -> None:
 def test_fig_5_or_why_it_is_absent(html: str) -> None:
     assert "Fig. 5 compares the model with a measured record, and none was given" in text_of(html)
     t = np.arange(50) * 0.1
-    with_record = text_of(report_of(sampled_design(), ModelFit(t, t, np.cos(t), np.cos(t) + 0.01)))
+    with_record = text_of(report_of(sampled_design(), ModelFit("r.csv", t, t, np.cos(t), np.cos(t) + 0.01)))
     assert "none was given" not in with_record
     assert "Fig. 5. Measured output" in with_record
 

@@ -3,6 +3,7 @@
 import json
 import math
 from importlib import resources
+from io import StringIO
 
 import numpy as np
 import pytest
@@ -13,9 +14,12 @@ from support.arm_bench import (
     excite,
     identify,
     measure_step,
+    record_for_fig_5,
     stairs,
 )
 
+from design.measured import compare
+from design.plant import read_plant
 from firmware_sim.arm.conditions import Payload, SupplyPressure
 from firmware_sim.arm.parameters import AXES, shipped_arm
 from hil.controller_file import read_controller
@@ -56,6 +60,19 @@ def test_each_axis_identifies_as_the_plant_that_is_shipped_to_design_for(axis: i
     static_gain = plant["num"][-1] / plant["den"][-1]
     assert model.velocity_gain / model.slow_rad_s == pytest.approx(static_gain, rel=0.03)
     assert model.fit_percent > 98.0
+
+
+@pytest.mark.parametrize("axis", [VERTICAL, HORIZONTAL, ROTATION], ids=AXES)
+def test_the_record_shipped_with_each_plant_is_the_arms(axis: int) -> None:
+    text = (resources.files("design") / f"plants/{AXES[axis]}.csv").read_text()
+    shipped, recorded = (
+        np.loadtxt(StringIO(record), delimiter=",", skiprows=1) for record in (text, record_for_fig_5(axis))
+    )
+    np.testing.assert_array_equal(shipped[:, :2], recorded[:, :2])
+    span = shipped_arm().travel[axis]
+    np.testing.assert_allclose(shipped[:, 2], recorded[:, 2], rtol=0, atol=2e-3 * span)
+    plant = read_plant((resources.files("design") / f"plants/{AXES[axis]}.json").read_text(), AXES[axis])
+    assert compare(plant, text, AXES[axis]).fit_percent > 97.0
 
 
 @pytest.mark.parametrize("seed", [1, 2])
