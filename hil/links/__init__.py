@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Self
 
 from hil.errors import LinkError
 from hil.frames import Frame
+from hil.links.failures import cause_of, creation, failure
 
 if TYPE_CHECKING:
     import can
@@ -94,9 +95,9 @@ class Link:
         try:
             bus.send(message)
         except self._error as error:
-            cause = _cause(error)
+            cause = cause_of(error)
             if (cause and cause.errno) not in _FULL:
-                raise _failure(self.spec, "cannot send", cause, error) from None
+                raise failure(self.spec, "cannot send", cause, error) from None
             self._full += 1
             return False
         return True
@@ -114,9 +115,9 @@ class Link:
             try:
                 message = bus.recv(0)
             except self._error as error:
-                cause = _cause(error)
+                cause = cause_of(error)
                 if cause is not None:
-                    raise _failure(self.spec, "cannot receive", cause, error) from None
+                    raise failure(self.spec, "cannot receive", cause, error) from None
                 self.unreadable += 1
             else:
                 if message is None:
@@ -211,17 +212,17 @@ def _open_socketcan(spec: str, interface: str) -> Link:
     try:
         socket.if_nametoindex(interface)
     except OSError:
-        raise LinkError(f"{spec}: there is no interface {interface}; {_creation(interface)}") from None
+        raise LinkError(f"{spec}: there is no interface {interface}; {creation(interface)}") from None
     from can.interfaces.socketcan import SocketcanBus
 
     try:
         bus = SocketcanBus(interface)
     except OSError as error:
-        raise _failure(spec, "cannot be opened", error, error) from None
+        raise failure(spec, "cannot be opened", error, error) from None
     down = bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
     if down:
         bus.shutdown()
-        raise _failure(spec, "cannot be opened", OSError(down, os.strerror(down)), None)
+        raise failure(spec, "cannot be opened", OSError(down, os.strerror(down)), None)
     _size_buffers(bus.socket)
     return Link(spec, bus, "kernel")
 
@@ -234,7 +235,7 @@ def _open_udp(spec: str, port: int) -> Link:
     try:
         bus = HostMulticastBus(port)
     except (CanError, OSError) as error:
-        raise _failure(spec, "cannot be opened", _cause(error), error) from None
+        raise failure(spec, "cannot be opened", cause_of(error), error) from None
     _size_buffers(bus.socket)
     return Link(spec, bus, "kernel")
 
@@ -247,7 +248,7 @@ def _open_slcan(spec: str, device: str, baud: int) -> Link:
     try:
         bus = LawicelBus(device, baud)
     except (CanError, OSError, ValueError) as error:
-        raise _failure(spec, "cannot be opened", _cause(error), error) from None
+        raise failure(spec, "cannot be opened", cause_of(error), error) from None
     return Link(spec, bus, "user")
 
 
@@ -284,45 +285,3 @@ def _size_buffers(sock: socket.socket) -> None:
         sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
     except PermissionError:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
-
-
-def _cause(error: BaseException | None) -> OSError | None:
-    """The operating system's error behind one of python-can's."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno is not None:
-            return error
-        number = getattr(error, "error_code", None)
-        if number is not None:
-            return OSError(number, os.strerror(number))
-        error = error.__cause__
-    return None
-
-
-def _failure(spec: str, what: str, cause: OSError | None, error: BaseException | None) -> LinkError:
-    reason = os.strerror(cause.errno) if cause and cause.errno else str(error)
-    target = spec.rpartition(":")[2]
-    remedy = {
-        errno.ENETDOWN: f"bring it up: sudo ip link set {target} up",
-        errno.ENODEV: f"it is gone or no CAN interface; {_creation(target)}",
-        errno.ENXIO: f"the interface is gone; {_creation(target)}",
-        errno.ENOENT: "is the adapter plugged in? See: ls /dev/serial/by-id",
-        errno.EACCES: "you may not use it: sudo adduser $USER dialout, then log in again",
-        errno.EBUSY: "another program uses it",
-        errno.EAGAIN: "another program uses it",
-        errno.EADDRNOTAVAIL: "is the loopback interface up? sudo ip link set lo up",
-        errno.EADDRINUSE: "another program has the port; choose another number",
-        errno.EIO: "the adapter was unplugged, or the other end closed the line",
-    }.get(cause.errno or 0 if cause else 0)
-    return LinkError(f"{spec}: {what}: {reason}" + (f"; {remedy}" if remedy else ""))
-
-
-def _creation(interface: str) -> str:
-    if interface.startswith("vcan"):
-        return (
-            f"make it: sudo ip link add dev {interface} type vcan && sudo ip link set {interface} up; "
-            "or run the command under `hil vcan -- …`"
-        )
-    return (
-        f"plug the adapter in, then: sudo ip link set {interface} up type can bitrate 500000 "
-        "(`ip -br link` lists what is there)"
-    )

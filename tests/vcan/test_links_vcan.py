@@ -83,6 +83,21 @@ class TestInterface:
             with pytest.raises(LinkError, match="cannot send: Network is down"):
                 link.send(Frame(1))
 
+    def test_opened_anew_it_works_when_the_interface_is_up_again(self, interface: str) -> None:
+        with open_link(interface) as link, open_link(interface) as other:
+            ip("link", "set", interface, "down")
+            with pytest.raises(LinkError):
+                link.receive(5)
+            with pytest.raises(LinkError, match="cannot be opened: Network is down"):
+                link.reopen()
+            with pytest.raises(LinkError, match="closed"):
+                link.send(Frame(1))
+            ip("link", "set", interface, "up")
+            link.reopen()
+            other.reopen()
+            assert link.send(Frame(0x42))
+            assert arrived(other) == Frame(0x42)
+
     def test_being_down_is_a_link_error_with_the_remedy(self, interface: str) -> None:
         ip("link", "set", interface, "down")
         with pytest.raises(LinkError, match="cannot be opened: Network is down; bring it up"):

@@ -254,6 +254,24 @@ class TestSlcan(LinkContract):
         with pytest.raises(LinkError, match=r"cannot send: .*unplugged"):
             link.send(Frame(1))
 
+    def test_opened_anew_it_goes_on_and_so_do_its_counts(self, pair: Pair, adapters: TwoAdapters) -> None:
+        sender, receiver = pair
+        adapters.other.outgoing.append(b"t12\r")
+        adapters.one.on_bus = False
+        assert sender.send(Frame(1))
+        assert sender.receive(0.5) is None
+        assert receiver.receive(0.5) is None
+        for link in pair:
+            link.reopen()
+        assert sender.send(Frame(0x42))
+        assert arrived(receiver) == Frame(0x42)
+        assert (sender.send_failures, receiver.unreadable) == (1, 1)
+        adapters.unplug(adapters.one)
+        with pytest.raises(LinkError):
+            sender.reopen()
+        with pytest.raises(LinkError, match="closed"):
+            sender.send(Frame(1))
+
     def test_a_device_that_does_not_answer_is_a_link_error(
         self, adapters: TwoAdapters, monkeypatch: pytest.MonkeyPatch
     ) -> None:
