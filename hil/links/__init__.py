@@ -106,12 +106,14 @@ class Link:
         """The next frame, or None when none came within ``timeout_s`` seconds (0: do not wait).
 
         Own frames and unreadable ones are discarded, but never for longer than that and ``MOST_DISCARDED``
-        more: what babbles on the bus does not keep the caller. Raises LinkError when the bus is gone.
+        more: what babbles on the bus does not keep the caller. None is given only after a look that came after
+        the time was up: a stall hides no frame. Raises LinkError when the bus is gone.
         """
         bus = self._opened()
         end = time.monotonic() + timeout_s
         discarded_late = 0
         while discarded_late < MOST_DISCARDED:
+            left = end - time.monotonic()
             try:
                 message = bus.recv(0)
             except self._error as error:
@@ -121,7 +123,6 @@ class Link:
                 self.unreadable += 1
             else:
                 if message is None:
-                    left = end - time.monotonic()
                     if left <= 0:
                         return None
                     select.select([bus], [], [], left)

@@ -359,6 +359,23 @@ class TestDiscarded:
         assert received.frame == Frame(2, is_extended=True)
 
 
+def test_a_stall_after_the_last_look_hides_no_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Boards that were kept waiting must hear what came meanwhile before they serve what is due."""
+    bus = Babbling(can.Message(arbitration_id=2), takes_s=0.0)
+    looks: list[can.Message | None] = [can.Message(arbitration_id=2), None]
+
+    def recv(_timeout_s: float) -> can.Message | None:
+        bus.now_s += 0.040  # the machine stalls, and the frame comes
+        return looks.pop()
+
+    bus.recv = recv  # type: ignore[method-assign]
+    monkeypatch.setattr("hil.links.time.monotonic", lambda: bus.now_s)
+    monkeypatch.setattr("hil.links.select.select", lambda *_: None)
+    received = Link("test", bus, "user").receive(0.011)  # type: ignore[arg-type]
+    assert received is not None
+    assert received.frame == Frame(2, is_extended=True)
+
+
 WHOLE_LINES = [b"t19084000400040001A5", b"t710105", b"T1ABCDEF02AABB", b"r1230", b"R1ABCDEF00"]
 ANY_LINE = st.one_of(
     st.binary(max_size=40),
