@@ -130,7 +130,7 @@ def _write_example() -> int:
 
 def _read(options: argparse.Namespace) -> _Inputs:
     from design.design_file import ControllerStructure, example_text, read_design
-    from design.plant import check_plant_fits, read_plant
+    from design.plant import check_plant_fits
 
     text = _text(options.design) if options.design else example_text()
     design_file = read_design(text, str(options.design or DESIGN_NAME))
@@ -142,7 +142,7 @@ def _read(options: argparse.Namespace) -> _Inputs:
         design_file = design_file.with_seed(options.seed)
     plant = _plant(options.plant)
     base = options.design.parent if options.design else Path()
-    further = [read_plant(_text(base / name), name) for name in design_file.further_plants.files]
+    further = [_plant(name, base) for name in design_file.further_plants.files]
     unit = options.axis_unit or design_file.axis_unit
     if unit is not None:
         check_plant_fits(plant, options.plant, unit)
@@ -309,13 +309,13 @@ def _progress_bars() -> Iterator[OnProgress]:
             bars.update(task, total=bars.tasks[task].completed)
 
 
-def _plant(name: str) -> Plant:
-    """A shipped plant, or a file."""
+def _plant(name: str, base: Path = Path()) -> Plant:
+    """A shipped plant, or a file relative to ``base``."""
     from design.plant import read_plant
 
     if name in _shipped_plants():
         return read_plant((PLANTS / f"{name}.json").read_text("utf-8"), name)
-    path = Path(name)
+    path = base / name
     if not path.exists():
         raise DocumentError(
             f"plant {name!r}: no such file, and none of the shipped {', '.join(_shipped_plants())}"

@@ -143,7 +143,7 @@ class FurtherPlants(Document, frozen=True):
     """Plants identified under other conditions: checked by the ν-gap, or designed against all at once."""
 
     files: list[str] = msgspec.field(default_factory=list)
-    """Plant files, relative to the design file."""
+    """Shipped plants, or plant files relative to the design file."""
     worst_case: bool = False
 
 

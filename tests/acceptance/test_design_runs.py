@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -119,6 +120,35 @@ def test_design_for_the_arms_axis_does_on_the_arm_what_the_report_says(
         assert step.overshoot_percent < 1.0
     assert max(settling_s) < 1.2, "what was asked for"
     assert np.mean(settling_s) == pytest.approx(reported.settling_s, abs=0.05)
+
+
+def test_design_against_two_plants_overshoots_on_neither(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """README's: the shipped controller of the rotation axis, designed without load, overshoots under load."""
+    monkeypatch.chdir(tmp_path)
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    Path("both.toml").write_text(re.findall(r"```toml\n(.*?)```", readme, re.DOTALL)[0])
+    assert main(["design", "rotation", "--design", "both.toml", "--out", "both"]) == 0
+    overshoot = {}
+    for scenario in ("fig14", "fig15"):
+        for controller in ("rotation", "both/controller.json"):
+            record = Path(f"{scenario}-{len(overshoot)}.mcap")
+            asked = [
+                "--scenario",
+                scenario,
+                "--controller",
+                f"rotation={controller}",
+                "--record",
+                str(record),
+            ]
+            assert main(["run", "--lockstep", *asked]) == 0
+            step = summarise(Recording(record)).axes["rotation"]
+            assert isinstance(step, StepResponse)
+            overshoot[scenario, controller] = step.overshoot_percent
+    assert overshoot["fig14", "rotation"] > 5.0
+    assert overshoot["fig14", "both/controller.json"] < 1.0
+    assert overshoot["fig15", "both/controller.json"] < 2.0
 
 
 def quantisation_bound_m(candidate: Candidate, resolution_bits: int) -> float:

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from firmware_sim.arm.arm import Arm
+from firmware_sim.arm.conditions import AnyChange
 from firmware_sim.arm.parameters import ArmParameters, shipped_arm
 from hil.controller_file import Pid
 from hil.laws import ControlLaw
@@ -59,10 +60,16 @@ def prbs(samples: int, hold: int, seed: int) -> Array:
 
 
 def excite(
-    parameters: ArmParameters, axis: int, amplitude_v: float, *, seed: int, duration_s: float = 60.0
+    parameters: ArmParameters,
+    axis: int,
+    amplitude_v: float,
+    *,
+    seed: int,
+    duration_s: float = 60.0,
+    changes: Sequence[AnyChange] = (),
 ) -> tuple[Array, Array]:
     """Centre an axis by a slow loop, then excite it in open loop. Offsets in volts, positions in its unit."""
-    bench = Bench(parameters, seed=seed)
+    bench = Bench(parameters, seed=seed, changes=changes)
     travel = parameters.travel[axis]
     offsets = [0.0, 0.0, 0.0]
     for _ in range(int(10.0 / PERIOD_S)):

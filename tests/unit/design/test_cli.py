@@ -297,7 +297,9 @@ def test_files_that_are_not_there(here: Path, capsys: pytest.CaptureFixture[str]
     assert "plant 'nope.json': no such file, and none of the shipped" in error_of(["nope.json"], capsys)
     assert "nope.toml: cannot be read" in error_of(["--design", "nope.toml"], capsys)
     (here / "d.toml").write_text('[further_plants]\nfiles = ["nope.json"]\n')
-    assert "nope.json: cannot be read" in error_of(["--design", "d.toml"], capsys)
+    assert "plant 'nope.json': no such file, and none of the shipped" in error_of(
+        ["--design", "d.toml"], capsys
+    )
 
 
 def test_infeasible_specifications_name_what_fails_and_by_how_much(
