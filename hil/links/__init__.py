@@ -106,8 +106,8 @@ class Link:
         """The next frame, or None when none came within ``timeout_s`` seconds (0: do not wait).
 
         Own frames and unreadable ones are discarded, but never for longer than that and ``MOST_DISCARDED``
-        more: what babbles on the bus does not keep the caller. None is given only after a look that came after
-        the time was up: a stall hides no frame. Raises LinkError when the bus is gone.
+        more: what babbles on the bus does not keep the caller. None is given only after a look when the time
+        was up: a stall hides no frame. Raises LinkError when the bus is gone.
         """
         bus = self._opened()
         end = time.monotonic() + timeout_s
