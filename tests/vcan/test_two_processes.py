@@ -42,10 +42,12 @@ PIPE_BYTES, CANDUMP_BYTES = 1 << 20, 1 << 24
 """Room for a whole run: candump loses frames when nobody reads, or when it gets no processor."""
 
 
-def run_command(rig: str, path: Path, duration_s: int) -> list[str]:
+def run_command(rig: str, path: Path, duration_s: int, **setpoints: str) -> list[str]:
+    """``setpoints``, by axis, in place of the steps."""
     options = ["--rig", rig, "--bus", "vcan0", "--duration", str(duration_s), "--record", str(path)]
     for axis, (size, at_s, controller) in STEPS.items():
-        options += ["--setpoint", f"{axis}=step:{size}@{at_s}", "--controller", f"{axis}={controller}"]
+        setpoint = setpoints.get(axis, f"step:{size}@{at_s}")
+        options += ["--setpoint", f"{axis}={setpoint}", "--controller", f"{axis}={controller}"]
     return [sys.executable, "-m", "hil.cli", "run", *options]
 
 
@@ -211,8 +213,7 @@ def test_killed_gateway_leaves_centred_valves(
 
     Of all that it tells, what follows the last command counts: a starved gateway may have let it down before.
     """
-    setpoints = ["--setpoint", "vertical=sine:0.1@0.1/1"]
-    with process([*run_command(rig, tmp_path / "killed.mcap", 60), *setpoints]) as run:
+    with process(run_command(rig, tmp_path / "killed.mcap", 60, vertical="sine:0.1@0.1/1")) as run:
         candump.until(is_moving, run)
         os.kill(run.pid, signal.SIGKILL)
         run.wait(TIMEOUT_S)
