@@ -163,6 +163,30 @@ def test_boards_whose_samples_are_refused_are_explained(
     assert "Is the bus right" not in told
 
 
+@pytest.mark.parametrize("is_wanted", [False, True])
+def test_an_internal_error_ends_the_run_and_is_told_without_a_traceback(
+    tmp_path: Path, is_wanted: bool
+) -> None:
+    path = tmp_path / "run.mcap"
+    program = (
+        "import sys; from hil.cli import main; from hil.links import Link\n"
+        "Link.receive = lambda *_: 1 / 0\n"
+        f"sys.exit(main(['run', '--bus', 'udp:43998', '--record', {str(path)!r}]))\n"
+    )
+    environment = os.environ | ({"HIL_TRACEBACK": "1"} if is_wanted else {})
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment, check=False)
+    assert done.returncode == 1
+    assert "internal error: ZeroDivisionError: division by zero" in done.stdout.replace("\n", " ")
+    assert "Please report it" in done.stdout
+    assert ("Traceback" in done.stderr) == is_wanted
+    recording = Recording(path)
+    assert "ZeroDivisionError" in recording.metadata["error"]["traceback"]
+    assert recording.metadata["ending"]["reason"] == "internal error"
+    assert recording.events()[-1][1].severity is Severity.FATAL
+    assert verify(recording).complete
+
+
 def test_signals_are_a_request_until_the_recording_is_closed() -> None:
     """The second Ctrl-C ends summary and plots, which may take long."""
     before = signal.getsignal(signal.SIGINT)
