@@ -1,7 +1,7 @@
 """``hil design``: from a plant model to a controller file that the daemon runs, with a report.
 
-Reads and writes the files; what is designed is in ``procedure``, what is told in ``report``. 0: done. 1: the
-controller should not be run as it is, or (``--paper``) a figure does not reproduce.
+Reads and writes the files; what is designed is in ``procedure``, what is told in ``report`` and ``closing``.
+0: done. 1: the controller should not be run as it is, or (``--paper``) a figure does not reproduce.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ import msgspec
 from hil.errors import DocumentError, HilError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from design.design_file import DesignFile
     from design.measured import ModelFit
     from design.plant import Plant
@@ -34,9 +32,6 @@ STRUCTURE_NAMES = "p, pi, pd, pid, pid-2dof, lead-lag, pi-lead"
 """Of ``structures.STRUCTURES``, which is not imported for a help text."""
 PLANTS = Path(__file__).parent / "plants"
 PAPER = "paper"
-AXES = ("vertical", "horizontal", "rotation")
-AXIS_OF_UNIT = {"m": "vertical", "rad": "rotation"}
-"""The axis of the shipped rig that the closing hint names, where the plant does not bear an axis' name."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +56,7 @@ def main(argv: list[str]) -> int:
     inputs = _read(options)
     from rich.console import Console
 
+    from design.closing import tell
     from design.controller_files import controller_files
     from design.procedure import carry_out
     from design.results_folder import ResultsFolder
@@ -74,8 +70,7 @@ def main(argv: list[str]) -> int:
         design = carry_out(inputs.design_file, plant, inputs.further, on_progress)
     controllers = controller_files(design)
     folder.replace(_report_files(design, folder.title, inputs.measured) | controllers)
-    console.print(_table(design))
-    return _tell(console, design, inputs.measured, directory)
+    return tell(console, design, inputs.measured, directory)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -206,77 +201,6 @@ def _report_files(
     drawn = design_figures(design, measured)
     html = render(design, drawn, title=title, measured=measured, verdicts=verdicts)
     return {REPORT: html} | {f"{FIGURES}/{figure.key}.svg": figure.svg for figure in drawn}
-
-
-def _table(design: Design) -> object:
-    """The comparison, for the terminal."""
-    from rich.table import Table
-
-    from design.comparison import table_rows
-
-    table = Table("", "", box=None, pad_edge=False)
-    for i, candidate in enumerate(design.candidates):
-        table.add_column(candidate.name, justify="right", style="bold" if i == 0 else None)
-    for row in table_rows(design.plant.output_unit):
-        table.add_row(row.label, row.unit, *(row.text(m) for m in design.measures))
-    return table
-
-
-def _tell(console: Console, design: Design, measured: ModelFit | None, directory: Path) -> int:
-    """What was found, what speaks against it, and what to do next."""
-    from design.advice import hints, warnings
-    from design.comparison import eps_text
-    from design.controller_files import runs_unstable
-
-    values = ", ".join(f"{name} {value:.5g}" for name, value in design.designed.parameters.items())
-    share = 100.0 * design.eps / design.problem.eps_opt
-    console.print(f"\n[bold]{design.designed.name}[/bold]  {values}")
-    console.print(f"ε {design.eps:.4f}, {share:.1f} % of what any controller could have with this weight")
-    for guarantee in design.guarantees:
-        sure = "guaranteed stable" if guarantee.guaranteed else "not guaranteed by ε alone"
-        console.print(
-            f"plant {guarantee.plant.name}: ν-gap {guarantee.gap:.3f}, {sure}; "
-            f"ε there {eps_text(guarantee.eps_there)}"
-        )
-    for note in design.notes:
-        console.print(f"not compared: {note}")
-    for hint in hints(design):
-        console.print(hint, style="yellow")
-    if measured is not None:
-        console.print(f"the model follows {measured.source} to {measured.fit_percent:.1f} %")
-    unstable = [c.name for c, m in zip(design.candidates, design.measures, strict=True) if runs_unstable(m)]
-    if unstable:
-        console.print(f"not written, unstable in the rig's loop: {', '.join(unstable)}")
-    against = warnings(design)
-    if measured is not None and measured.doubt:
-        against.append(measured.doubt)
-    for warning in against:
-        console.print(warning, style="red")
-    controller = directory / "controller.json"
-    where = [f"\nreport      {directory / 'report.html'}"]
-    if not runs_unstable(design.measures[0]):
-        where.append(f"controller  {controller}")
-    if against:
-        where.append("next        put right what is said above: this controller should not be run as it is")
-    else:
-        where.append(f"next        {_next_command(design.plant, controller)}")
-    console.print("\n".join(where), soft_wrap=True)
-    return 1 if against else 0
-
-
-def _next_command(plant: Plant, controller: Path) -> str:
-    """How to run what was designed, on what it was designed for."""
-    from design.plant import paper_plant
-
-    paper = paper_plant()
-    axis = plant.name if plant.name in AXES else AXIS_OF_UNIT[plant.output_unit]
-    if (plant.name, plant.num, plant.den) == (paper.name, paper.num, paper.den):
-        return (
-            f"hil run --linear --controller {axis}={controller}\n"
-            "            --linear is eq. (15) itself; the simulated arm's own vertical axis comes near it "
-            "but is another plant: hil design vertical"
-        )
-    return f"hil run --controller {axis}={controller}"
 
 
 @contextmanager

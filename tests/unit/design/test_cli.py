@@ -164,7 +164,8 @@ def test_an_unstable_design_is_not_written(
     here: Path, short: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     design = sampled_design()
-    unstable = replace(design, measures=(replace(design.measures[0], eps_sampled=0.0), *design.measures[1:]))
+    measures = (replace(design.measures[0], eps_sampled=0.0), *design.measures[1:])
+    unstable = replace(design, measures=measures, guarantees=())
     monkeypatch.setattr(procedure, "carry_out", lambda *_: unstable)
     assert main(["design", "--out", "out"]) == 1
     said = capsys.readouterr().out
