@@ -213,6 +213,7 @@ class Gateway:
             checked = Unasked(f"TPDO1_ADC: more answers than SYNCs: {NOT_ALONE}")
         if isinstance(checked, Unasked):
             self.rejected_frames += 1
+            self._last_rejection = checked
             unasked: list[Frame] = []
             self._lose("adc", checked, unasked, events)
             return Output(tuple(unasked), tuple(events))

@@ -1037,6 +1037,7 @@ class TestWhichSync:
                 gateway.sample()
                 gateway.counter -= 1
                 gateway.sample()
+        assert "more answers than SYNCs" in gateway.core.readiness
         gateway.periods(FIRST_ANSWER_PERIODS + 7)
         assert gateway.state is State.READY
 
