@@ -90,10 +90,10 @@ def run_lockstep(
     plant, _ = build_plant(setup.rig, options)
     planned = planned_events(options)
     header = _header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}, planned)
-    recorder = Recorder(path, header, lossless=True)
     lockstep = Lockstep(SimulatedRig(setup.rig, plant), 0)
     gateway = setup.gateway(setup.rig.loop.period_ns)
     with _stop_on_signals() as stop_request:
+        recorder = Recorder(path, header, lossless=True)
         with LockstepProgress(duration_s) as progress:
             session = Session(gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress)
             _announce(session, duration_s, planned)

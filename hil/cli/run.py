@@ -174,7 +174,7 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
         console.print(f"The boards did not come up: {readiness or 'nothing is recorded'}{hint}", style="red")
     else:
         console.print(f"ended by {plan.ending}: {ending.get('fault', '')}", style="red")
-    if plan.ending is Ending.ERROR:
+    if trace:
         console.print(
             "That is a mistake of hil or of a library that it uses. Please report it to its maintainers with "
             f"the recording, whose metadata holds the traceback ({TRACEBACK_VARIABLE}=1 prints it here).",

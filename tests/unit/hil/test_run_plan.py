@@ -204,3 +204,18 @@ def test_a_run_that_is_not_over_has_no_ending() -> None:
 def test_stop_answers_with_the_centre() -> None:
     output: Output = hand(State.RUNNING).operate(Trigger.STOP)
     assert commands(output) == [CENTRED]
+
+
+@pytest.mark.parametrize(
+    "before", [None, Ending.COMPLETED, Ending.INTERRUPTED, Ending.FAULT, Ending.NO_BOARDS]
+)
+def test_a_failure_ends_a_run_at_once_and_a_fault_before_it_stays_the_reason(before: Ending | None) -> None:
+    plan = RunPlan(1.0, PERIOD_S)
+    if before is not None:
+        plan.end(before)
+        assert not plan.is_over
+    plan.fail(Ending.LINK)
+    assert plan.is_over
+    assert plan.ending is (Ending.FAULT if before is Ending.FAULT else Ending.LINK)
+    plan.after_period(hand().core)
+    assert plan.is_over
