@@ -127,9 +127,11 @@ def _mark_events(upper: Axes, lower: Axes, marks: list[tuple[float, str]]) -> No
             continue
         for panel in (upper, lower):
             panel.axvline(at_s, color=GREY, linewidth=0.8, linestyle=":")
-        upper.text(
-            at_s, 0.02, f" {text}", transform=upper.get_xaxis_transform(), rotation=90,
-            ha="left" if at_s < (first_s + last_s) / 2 else "right", va="bottom", fontsize=6, color=GREY,
+        is_early = at_s < (first_s + last_s) / 2
+        upper.annotate(
+            text, (at_s, 0.02), xycoords=upper.get_xaxis_transform(), rotation=90, fontsize=6, color=GREY,
+            xytext=(3 if is_early else -3, 0), textcoords="offset points", va="bottom",
+            ha="left" if is_early else "right", zorder=1.0,
         )  # fmt: skip
 
 
