@@ -74,7 +74,6 @@ class SampleGuard:
         """Expect any counter next: the board has restarted. What was asked before may still be answered."""
         self._counter = None
         self._is_matched = self._has_matched = False
-        self._late_answer_ns = None
 
     def begin_period(self, now_ns: int, may_wait: bool) -> bool:
         """Whether SYNC leaves now: not while an earlier one may be answered yet, unless it may not wait."""
@@ -105,7 +104,6 @@ class SampleGuard:
         if not may_know or now_ns - unanswered[-1] < min(self._late_answer_ns + self._period_ns, longest_ns):
             return True
         unanswered.clear()  # the last answer was in time, to the SYNC before it; others were lost
-        self._late_answer_ns = None
         self._is_matched = False
         return False
 

@@ -888,6 +888,8 @@ class TestWhichSync:
     def test_a_machine_that_stalls_is_not_taken_for_a_board_that_missed_a_sync(self) -> None:
         gateway = hand(State.RUNNING, adc__stale_after_periods="60")
         gateway.period()
+        gateway.deadline()  # here it had
+        gateway.periods(5)
         gateway.deadline()
         gateway.deadline(late_ns=4 * PERIOD_NS)
         assert commands(gateway.sample()) == []  # the answer to the SYNC before the stall
@@ -898,6 +900,15 @@ class TestWhichSync:
         gateway.give(ADC_UP, DAC_UP)
         assert len(commands(gateway.sample())) == 1
         assert gateway.state is State.RUNNING
+
+    def test_without_a_counter_a_lost_answer_costs_three_periods(self) -> None:
+        gateway = hand(State.RUNNING, adc__protected="false", **PATIENT)
+        for _ in range(5):
+            gateway.period()
+            assert SYNC in gateway.deadline().frames  # its answer is lost
+            gateway.give(ADC_UP, DAC_UP)
+            assert [SYNC in gateway.deadline().frames for _ in range(3)] == [False, False, True]
+            assert len(commands(gateway.sample())) == 1
 
     def test_a_first_sync_that_is_lost_is_sent_again(self) -> None:
         gateway = hand()
