@@ -14,7 +14,7 @@ from time import monotonic_ns, time_ns
 from typing import TYPE_CHECKING, Protocol
 
 from firmware_sim.plant import Plant
-from firmware_sim.plant_options import add_plant_options, build_plant
+from firmware_sim.plant_options import add_plant_options, build_plant, read_text
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.errors import DocumentError, EnvironmentLackError, HilError
 from hil.frames import Frame
@@ -142,12 +142,7 @@ def _parser() -> argparse.ArgumentParser:
 def _read_rig(path: Path | None) -> Rig:
     if path is None:
         return read_rig((files("hil") / "rig.toml").read_text(encoding="utf-8"), "rig.toml")
-    try:
-        return read_rig(path.read_text(encoding="utf-8"), str(path))
-    except OSError as error:
-        raise DocumentError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise DocumentError(f"{path}: is not text") from None
+    return read_rig(read_text(path), str(path))
 
 
 def _open(spec: str) -> tuple[Bus, str]:

@@ -73,7 +73,7 @@ def plant_texts(rig: Rig, options: argparse.Namespace) -> dict[str, str]:
     plant = _json(model="pneumatic arm", seed=str(options.seed), events=" ".join(options.event))
     texts = {"plant.json": plant, "arm.toml": arm_text}
     if options.scenario is not None:
-        texts["scenario.toml"] = _text(find_scenario(options.scenario))
+        texts["scenario.toml"] = read_text(find_scenario(options.scenario))
     return texts
 
 
@@ -104,18 +104,19 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
     if options.scenario is None:
         return None
     path = find_scenario(options.scenario)
-    return read_scenario(_text(path), str(path))
+    return read_scenario(read_text(path), str(path))
 
 
 def _arm_text(options: argparse.Namespace) -> str:
-    return shipped_arm_text() if options.arm is None else _text(options.arm)
+    return shipped_arm_text() if options.arm is None else read_text(options.arm)
 
 
 def _json(**facts: str) -> str:
     return json.dumps(facts, indent=2) + "\n"
 
 
-def _text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """The text of a file, with or without a byte order mark. Raises DocumentError where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:

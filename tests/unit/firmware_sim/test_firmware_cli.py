@@ -294,12 +294,13 @@ def test_without_the_right_to_a_priority_it_runs_all_the_same(
     assert len(ran) == 1
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])  # with a mark before it, as hil run takes it
 def test_the_rig_file_sets_the_boards_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, process_kept: None
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, process_kept: None, encoding: str
 ) -> None:
     path = tmp_path / "rig.toml"
     shipped = (Path(cli.__file__).parents[1] / "hil" / "rig.toml").read_text()
-    path.write_text(shipped.replace("watchdog_periods = 8", "watchdog_periods = 7"))
+    path.write_text(shipped.replace("watchdog_periods = 8", "watchdog_periods = 7"), encoding=encoding)
     seen = []
     monkeypatch.setattr(cli, "simulate", lambda rig, *_: seen.append(rig))
     assert cli.main(["--bus", "inproc:set up", "--rig", str(path)]) == 0
