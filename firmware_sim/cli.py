@@ -73,10 +73,11 @@ def simulate(rig: SimulatedRig, bus: Bus, watch: Watch | None = None) -> None:
     """Power the boards on and run them on CLOCK_MONOTONIC until something is raised.
 
     Frames are taken at the instants of their arrival and before any deadline: where this process was kept
-    waiting, which a board never is, no watchdog fires for commands that had come in time.
+    waiting, which a board never is, no watchdog fires for commands that had come in time. Nor does a deadline
+    that was served make a frame later that was on the bus before it: a kernel may hand one over late.
     Raises LinkError when the bus is gone, and what a failing plant raises: the boards fall silent.
     """
-    now_ns = monotonic_ns()
+    now_ns = frame_ns = monotonic_ns()
     frames = rig.start(now_ns)
     while True:
         for frame in frames:
@@ -87,10 +88,10 @@ def simulate(rig: SimulatedRig, bus: Bus, watch: Watch | None = None) -> None:
         received = bus.receive(max(rig.next_deadline_ns - asked_ns, 0) * 1e-9)
         if received is None:
             # Until then nothing had come; what comes while this process waits to go on is not late.
-            now_ns = max(rig.next_deadline_ns, asked_ns, now_ns)
+            now_ns = max(rig.next_deadline_ns, asked_ns)
             frames = rig.on_deadline(now_ns)
         else:
-            now_ns = max(_arrival_ns(received.stamp_ns), now_ns)
+            now_ns = frame_ns = max(_arrival_ns(received.stamp_ns), frame_ns)
             frames = rig.receive(received.frame, now_ns)
 
 

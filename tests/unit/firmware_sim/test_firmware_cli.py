@@ -251,7 +251,14 @@ def test_a_stall_between_the_two_clocks_moves_no_frame(monkeypatch: pytest.Monke
     assert taken_ms(bus, start_ns) == [47]
 
 
-def test_a_stall_after_the_wait_for_a_deadline_makes_nothing_late(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("age_ms", "expected_ms"),
+    [(20, 110), (35, 95)],  # the boards' heartbeats were due at 100 ms
+    ids=["after the deadline", "before it, handed over late"],
+)
+def test_a_stall_after_the_wait_for_a_deadline_makes_nothing_late(
+    age_ms: int, expected_ms: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class StalledBus(SteppedBus):
         has_stalled = False
 
@@ -262,9 +269,8 @@ def test_a_stall_after_the_wait_for_a_deadline_makes_nothing_late(monkeypatch: p
             self.monotonic_ns += round(timeout_s * 1e9) + 30 * MS  # kept waiting after the time was up
             return None
 
-    bus = StalledBus(monkeypatch, [(0, 20 * MS, 0)])
-    start_ns = bus.monotonic_ns
-    assert taken_ms(bus, start_ns) == [110]  # 10 ms after the boards' heartbeats were due
+    bus = StalledBus(monkeypatch, [(0, age_ms * MS, 0)])
+    assert taken_ms(bus, bus.monotonic_ns) == [expected_ms]
 
 
 def taken_ms(bus: SteppedBus, start_ns: int) -> list[float]:
