@@ -5,10 +5,10 @@ package imports nothing else; scipy, control and matplotlib are imported where t
 
 The way through it, as one program::
 
-    from design.plant import Sampling, paper_plant
-    from design.structures import STRUCTURES
-    from design.synthesis import synthesise
-    from design.weight_selection import select_weight
+    from design.models.plant import Sampling, paper_plant
+    from design.synthesis.structures import STRUCTURES
+    from design.synthesis.fixed_structure import synthesise
+    from design.synthesis.weight_selection import select_weight
 
     plant = paper_plant()                             # or plant.read_plant(text, source)
     sampling = Sampling(0.0112, delay_samples=1)      # None: the continuous loop, as in the paper

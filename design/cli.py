@@ -17,20 +17,20 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from hil.errors import DocumentError, HilError
+from hil.core.errors import DocumentError, HilError
 
 if TYPE_CHECKING:
-    from design.design_file import DesignFile
-    from design.measured import ModelFit
-    from design.plant import Plant
-    from design.procedure import Design, OnProgress
-    from design.search import Progress
-    from design.verdicts import Verdict
+    from design.models.measured_record import ModelFit
+    from design.models.plant import Plant
+    from design.paper.verdicts import Verdict
+    from design.search.searcher import Progress
+    from design.synthesis.design_file import DesignFile
+    from design.synthesis.procedure import Design, OnProgress
 
 DESIGN_NAME = "design.toml"
 STRUCTURE_NAMES = "p, pi, pd, pid, pid-2dof, lead-lag, pi-lead"
 """Of ``structures.STRUCTURES``, which is not imported for a help text."""
-PLANTS = Path(__file__).parent / "plants"
+PLANTS = Path(__file__).parent / "models" / "plants"
 PAPER = "paper"
 
 
@@ -56,10 +56,10 @@ def main(argv: list[str]) -> int:
     inputs = _read(options)
     from rich.console import Console
 
-    from design.closing import tell
-    from design.controller_files import controller_files
-    from design.procedure import carry_out
-    from design.results_folder import ResultsFolder
+    from design.output.closing import tell
+    from design.output.controller_files import controller_files
+    from design.output.results_folder import ResultsFolder
+    from design.synthesis.procedure import carry_out
 
     plant = inputs.plant
     directory: Path = options.out or Path("designs") / re.sub(r"[^\w.-]+", "-", plant.name)
@@ -111,7 +111,7 @@ def _parser() -> argparse.ArgumentParser:
 def _write_example() -> int:
     from rich.console import Console
 
-    from design.design_file import example_text
+    from design.synthesis.design_file import example_text
 
     path = Path(DESIGN_NAME)
     try:
@@ -124,8 +124,8 @@ def _write_example() -> int:
 
 
 def _read(options: argparse.Namespace) -> _Inputs:
-    from design.design_file import ControllerStructure, example_text, read_design
-    from design.plant import check_plant_fits
+    from design.models.plant import check_plant_fits
+    from design.synthesis.design_file import ControllerStructure, example_text, read_design
 
     text = _text(options.design) if options.design else example_text()
     design_file = read_design(text, str(options.design or DESIGN_NAME))
@@ -146,7 +146,7 @@ def _read(options: argparse.Namespace) -> _Inputs:
     measured = None
     record = options.measured or _shipped_record(options.plant)
     if record:
-        from design.measured import compare
+        from design.models.measured_record import compare
 
         measured = compare(plant, _text(record), str(options.measured or f"the shipped {record.name}"))
     return _Inputs(design_file, plant, further, measured)
@@ -161,8 +161,8 @@ def _reproduce_paper(options: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from design.paper import reproduce
-    from design.results_folder import ResultsFolder
+    from design.output.results_folder import ResultsFolder
+    from design.paper.reproduction import reproduce
 
     directory: Path = options.out or Path("designs") / "paper-reproduction"
     folder = ResultsFolder(directory, "The paper, reproduced")
@@ -195,8 +195,8 @@ def _report_files(
     design: Design, title: str, measured: ModelFit | None, verdicts: Sequence[Verdict] = ()
 ) -> dict[str, str]:
     """The report, and each figure as a file of its own: texts by file name."""
-    from design.report import design_figures, render
-    from design.results_folder import FIGURES, REPORT
+    from design.output.report import design_figures, render
+    from design.output.results_folder import FIGURES, REPORT
 
     drawn = design_figures(design, measured)
     html = render(design, drawn, title=title, measured=measured, verdicts=verdicts)
@@ -235,7 +235,7 @@ def _progress_bars() -> Iterator[OnProgress]:
 
 def _plant(name: str, base: Path = Path()) -> Plant:
     """A shipped plant, or a file relative to ``base``."""
-    from design.plant import read_plant
+    from design.models.plant import read_plant
 
     if name in _shipped_plants():
         return read_plant((PLANTS / f"{name}.json").read_text("utf-8"), name)
@@ -258,7 +258,7 @@ def _shipped_record(name: str) -> Path | None:
 
 
 def _text(path: Path) -> str:
-    from hil.run_setup import read_text
+    from hil.host.text_file import read_text
 
     return read_text(path)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.errors import HilError
+from hil.core.errors import HilError
 
 
 class DesignError(HilError):

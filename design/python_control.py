@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from design.errors import DesignError
-from design.plant import Plant, Sampling, read_plant
-from design.polynomials import Array
-from design.realisation import StateSpace, realise, sampled, transfer_function
-from hil import laws
-from hil.controller_file import ControllerFile
-from hil.documents import to_json
+from design.mathematics.polynomials import Array
+from design.models.plant import Plant, Sampling, read_plant
+from design.models.realisation import StateSpace, realise, sampled, transfer_function
+from hil.core import control_law as laws
+from hil.core.controller_file import ControllerFile
+from hil.core.documents import to_json
 
 if TYPE_CHECKING:
     import control

@@ -13,12 +13,13 @@ from pathlib import Path
 from time import monotonic_ns, time_ns
 from typing import TYPE_CHECKING, Protocol
 
-from firmware_sim.plant import Plant
-from firmware_sim.plant_options import add_plant_options, build_plant, read_text
+from firmware_sim.plant_options import add_plant_options, build_plant
+from firmware_sim.plants.plant import Plant
 from firmware_sim.simulated_rig import SimulatedRig
-from hil.errors import DocumentError, EnvironmentLackError, HilError
-from hil.frames import Frame
-from hil.rig import Rig, read_rig
+from hil.core.errors import DocumentError, EnvironmentLackError, HilError
+from hil.core.frames import Frame
+from hil.core.rig import Rig, read_rig
+from hil.host.text_file import read_text
 
 if TYPE_CHECKING:
     from hil.links import Received
@@ -142,7 +143,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _read_rig(path: Path | None) -> Rig:
     if path is None:
-        return read_rig((files("hil") / "rig.toml").read_text(encoding="utf-8"), "rig.toml")
+        return read_rig((files("hil.shipped") / "rig.toml").read_text(encoding="utf-8"), "rig.toml")
     return read_rig(read_text(path), str(path))
 
 

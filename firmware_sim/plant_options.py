@@ -9,10 +9,11 @@ from pathlib import Path
 from firmware_sim.arm.event_text import FORMS, event_text, parse_event
 from firmware_sim.arm.parameters import read_arm, shipped_arm_text
 from firmware_sim.arm.wiring import wiring
-from firmware_sim.plant import Plant
+from firmware_sim.plants.plant import Plant
 from firmware_sim.scenario import Scenario, find_scenario, read_scenario
-from hil.errors import DocumentError
-from hil.rig import Rig
+from hil.core.errors import DocumentError
+from hil.core.rig import Rig
+from hil.host.text_file import read_text
 
 
 def add_plant_options(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +89,7 @@ def build_plant(rig: Rig, options: argparse.Namespace) -> tuple[Plant, str]:
     """The plant that ``options`` ask for, and what it is in words. Raises DocumentError."""
     check_plant_options(options)
     if options.linear:
-        from firmware_sim.linear_plant import LinearPlant
+        from firmware_sim.plants.linear_plant import LinearPlant
 
         return LinearPlant(rig), f"the linear model, eq. (15), for {', '.join(rig.axes)}"
     from firmware_sim.arm.arm import Arm
@@ -113,13 +114,3 @@ def _arm_text(options: argparse.Namespace) -> str:
 
 def _json(**facts: str) -> str:
     return json.dumps(facts, indent=2) + "\n"
-
-
-def read_text(path: Path) -> str:
-    """The text of a file, with or without a byte order mark. Raises DocumentError where it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise DocumentError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise DocumentError(f"{path}: is not text") from None

@@ -13,8 +13,8 @@ from typing import Annotated
 import msgspec
 
 from firmware_sim.arm.conditions import AnyChange
-from hil.documents import Document, from_toml
-from hil.errors import DocumentError
+from hil.core.documents import Document, from_toml
+from hil.core.errors import DocumentError
 
 SHIPPED = Path(__file__).parent / "scenarios"
 

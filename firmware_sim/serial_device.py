@@ -12,8 +12,8 @@ import tty
 from collections import deque
 from typing import Final
 
-from firmware_sim.lawicel import LawicelAdapter
-from hil.frames import Frame
+from firmware_sim.boards.lawicel import LawicelAdapter
+from hil.core.frames import Frame
 from hil.links import Received
 
 _QUEUE_BYTES: Final = 4096

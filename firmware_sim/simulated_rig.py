@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from firmware_sim.boards import AdcBoard, DacBoard, Volts
-from firmware_sim.canopen_slave import NEVER, Frames, State
-from firmware_sim.codec import SYNC_ID
-from firmware_sim.plant import Plant
-from hil.frames import Frame
-from hil.rig import Rig
+from firmware_sim.boards.boards import AdcBoard, DacBoard, Volts
+from firmware_sim.boards.canopen_slave import NEVER, Frames, State
+from firmware_sim.boards.codec import SYNC_ID
+from firmware_sim.plants.plant import Plant
+from hil.core.frames import Frame
+from hil.core.rig import Rig
 
 
 class SimulatedRig:

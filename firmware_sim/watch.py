@@ -12,7 +12,7 @@ from rich.text import Text
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.parameters import AXES
-from hil.onlooker import Onlooker, messages
+from hil.views.onlooker import Onlooker, messages
 
 BETWEEN_LOOKS_NS = 100_000_000
 LEAST_CELLS, MOST_CELLS = 72, 160

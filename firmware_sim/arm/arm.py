@@ -39,7 +39,7 @@ from firmware_sim.arm.parameters import (
 )
 from firmware_sim.arm.pins import PotentiometerOutput, ValveInput
 from firmware_sim.arm.wiring import STRAIGHT, Wires
-from hil.errors import SimulationError
+from hil.core.errors import SimulationError
 
 REST_V: Final = (5.0, 5.0, 5.0)
 REST_NS: Final = 10_000_000_000
@@ -70,7 +70,7 @@ class ArmView(NamedTuple):
 
 
 class Arm:
-    """A ``firmware_sim.plant.Plant``, its axes on the channels that ``wiring`` says, by their names.
+    """A ``firmware_sim.plants.plant.Plant``, its axes on the channels that ``wiring`` says, by their names.
 
     ``seed`` is that of the potentiometers' noise; ``changes`` happen as the arm's own time reaches theirs.
     An axis that ``wiring`` leaves out has ``REST_V`` on its valve. Raises EnvironmentLackError when the

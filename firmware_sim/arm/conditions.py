@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from hil.documents import Document
+from hil.core.documents import Document
 
 AxisName = Literal["vertical", "horizontal", "rotation"]
 

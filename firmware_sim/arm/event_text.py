@@ -12,8 +12,8 @@ from typing import Any, Final, get_args
 import msgspec
 
 from firmware_sim.arm.conditions import AnyChange, Change
-from hil.documents import from_plain
-from hil.errors import DocumentError
+from hil.core.documents import from_plain
+from hil.core.errors import DocumentError
 
 FORMS: Final = (
     "payload:KG@S, supply-pressure:KPA@S, temperature:CELSIUS@S, friction:AXIS,FACTOR@S, "

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_sim.arm.parameters import ArmAxis, ArmParameters, absolute_pa
-from hil.errors import EnvironmentLackError
+from hil.core.errors import EnvironmentLackError
 
 _D: Final = ctypes.c_double
 _REMEDY: Final = "install again: apt-get install gcc libc6-dev, then pip install -e ."

@@ -23,8 +23,8 @@ from typing import Annotated
 
 import msgspec
 
-from hil.documents import Document, from_toml
-from hil.errors import DocumentError
+from hil.core.documents import Document, from_toml
+from hil.core.errors import DocumentError
 
 AXES = ("vertical", "horizontal", "rotation")
 """In the order of the boards' channels 1, 2, 3."""

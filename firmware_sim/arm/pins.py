@@ -7,7 +7,7 @@ from random import Random
 from typing import Final
 
 from firmware_sim.arm.parameters import Potentiometer, Valve
-from hil.errors import SimulationError
+from hil.core.errors import SimulationError
 
 FULL_TRAVEL_V: Final = 5.0
 """Offset from the valve's centre at which the spool is at its end."""

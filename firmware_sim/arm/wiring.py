@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from firmware_sim.arm.parameters import AXES
-from hil.errors import DocumentError
-from hil.rig import Rig
+from hil.core.errors import DocumentError
+from hil.core.rig import Rig
 
 
 class Wires(NamedTuple):

@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import TextIO
 
 from hil import __version__
-from hil.errors import HilError
+from hil.core.errors import HilError
 
 COMMANDS = {
     "run": ("hil.cli.run", "run the controllers against the rig, and record"),
     "replay": ("hil.cli.replay", "give a recording's calls to the core again, and compare what it sends"),
     "rig": ("hil.cli.rig", "show or copy the example rig file"),
-    "vcan": ("hil.vcan", "run a command where a virtual CAN interface exists"),
-    "doctor": ("hil.doctor", "what this machine grants, and what to do about what it does not"),
+    "vcan": ("hil.host.vcan", "run a command where a virtual CAN interface exists"),
+    "doctor": ("hil.host.doctor", "what this machine grants, and what to do about what it does not"),
 }
 PLUGINS = "hil.commands"
 """Entry points of other packages: ``hil design`` is one."""

@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.plant_options import build_plant, planned_events, plant_arguments
 from hil import __version__
-from hil.errors import LinkError
-from hil.events import Event, Severity
-from hil.gateway import Gateway
-from hil.processes import await_end
+from hil.core.errors import LinkError
+from hil.core.events import Event, Severity
+from hil.core.gateway import Gateway
+from hil.host.child_process import await_end
 from hil.recording.recorder import ARM_EVENTS, Recorder, RecorderReport, RunHeader
-from hil.run_setup import RunSetup
 from hil.shells.run_plan import RunPlan, StopRequest
+from hil.shells.run_setup import RunSetup
 from hil.shells.session import Session
 
 if TYPE_CHECKING:
@@ -44,10 +44,10 @@ def run_realtime(
     setup: RunSetup, plan: RunPlan, path: Path, bus: str, options: argparse.Namespace
 ) -> RecorderReport:
     """Run on ``bus``; ``sim`` starts the boards in a process of their own on a bus of their own."""
+    from hil.host.realtime_rights import real_time_rights
     from hil.links import open_link
-    from hil.rights import real_time_rights
-    from hil.shells.display import Display
     from hil.shells.realtime import run
+    from hil.views.display import Display
 
     spec = f"udp:{_free_udp_port()}" if bus == SIMULATED else bus
     axes = [(name, axis.unit) for name, axis in setup.rig.axes.items()]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from rich.console import Console
 from rich.progress import Progress
 
-from hil.events import Cycle, Event, Severity
-from hil.gateway import Gateway
+from hil.core.events import Cycle, Event, Severity
+from hil.core.gateway import Gateway
 
 SHORT_RUN_S = 120.0
 UPDATE_PERIODS = 2000

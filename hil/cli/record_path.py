@@ -6,7 +6,7 @@ import os
 import time
 from pathlib import Path
 
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
 
 FOLDER = Path("runs")
 SUFFIX = ".mcap"

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from hil.errors import HilError, ReplayMismatchError
+from hil.core.errors import HilError, ReplayMismatchError
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
 

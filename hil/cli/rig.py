@@ -6,8 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from hil.errors import DocumentError
-from hil.run_setup import PACKAGE, RIG_NAME, load_setup, read_text
+from hil.core.errors import DocumentError
+from hil.host.text_file import read_text
+from hil.shells.run_setup import RIG_NAME, SHIPPED, load_setup
 
 
 def main(argv: list[str]) -> int:
@@ -27,7 +28,7 @@ def main(argv: list[str]) -> int:
         setup = load_setup(options.check, {}, {})
         sys.stdout.write(f"{options.check}: good; axes {', '.join(setup.rig.axes)}\n")
         return 0
-    text = read_text(PACKAGE / RIG_NAME)
+    text = read_text(SHIPPED / RIG_NAME)
     if not options.init:
         sys.stdout.write(text)
         return 0

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING
 from firmware_sim.plant_options import add_plant_options, check_plant_options, plant_texts
 from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
 from hil.cli.record_path import figure_of, picture_of, recording_path
-from hil.errors import DocumentError, HilError, LinkError, RecordingExistsError
+from hil.core.errors import DocumentError, HilError, LinkError, RecordingExistsError
+from hil.core.setpoints import FORMS
+from hil.host.text_file import read_text
 from hil.recording.recorder import RecorderReport
-from hil.run_setup import RunSetup, load_setup, read_text, shipped_controllers
-from hil.setpoints import FORMS
 from hil.shells.run_plan import Ending, RunPlan
+from hil.shells.run_setup import RunSetup, load_setup, shipped_controllers
 
 if TYPE_CHECKING:
     from firmware_sim.scenario import Scenario
@@ -132,9 +133,9 @@ def _tell(plan: RunPlan, report: RecorderReport, scenario: Scenario | None) -> i
     """Summary and plots, from the recording."""
     from rich.console import Console
 
-    from hil.plots import plot_run
     from hil.recording.reader import Recording
-    from hil.summary import summarise
+    from hil.views.plots import plot_run
+    from hil.views.summary import summarise
 
     class Printer(Console):
         def on_broken_pipe(self) -> None:

@@ -17,8 +17,8 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Self
 
-from hil.errors import LinkError
-from hil.frames import Frame
+from hil.core.errors import LinkError
+from hil.core.frames import Frame
 from hil.links.failures import cause_of, creation, failure
 
 if TYPE_CHECKING:

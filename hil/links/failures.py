@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 
-from hil.errors import LinkError
+from hil.core.errors import LinkError
 
 
 def cause_of(error: BaseException | None) -> OSError | None:

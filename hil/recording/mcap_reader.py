@@ -23,7 +23,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
 from hil.recording.handover import MESSAGE_HEADER, RECORD_HEADER, index_messages
 from hil.recording.schemas import layout_of
 

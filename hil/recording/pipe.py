@@ -11,9 +11,9 @@ import sys
 from collections import Counter, deque
 from pathlib import Path
 
-from hil.errors import RecordingError, RecordingExistsError
-from hil.events import Event, Severity
-from hil.processes import await_end
+from hil.core.errors import RecordingError, RecordingExistsError
+from hil.core.events import Event, Severity
+from hil.host.child_process import await_end
 from hil.recording.handover import BATCH, BLOCK_HEADER, LOSSLESS, REAL_TIME, index_messages
 
 PROCESS_MODULE = "hil.recording.recorder_process"

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.errors import RecordingError
-from hil.events import AxisSignals, Event, Severity
-from hil.frames import Frame
+from hil.core.errors import RecordingError
+from hil.core.events import AxisSignals, Event, Severity
+from hil.core.frames import Frame
 from hil.recording.handover import MESSAGE_HEADER, RECORD_HEADER, SEQUENCE_MASK
 from hil.recording.mcap_reader import MESSAGE_FIELDS, McapContents, Rows
 from hil.recording.schemas import AXIS_TOPIC, CDR_HEADER, layout_of

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import msgspec
 
-from hil.errors import RecordingError
-from hil.events import Cycle, Event
-from hil.frames import Frame
+from hil.core.errors import RecordingError
+from hil.core.events import Cycle, Event
+from hil.core.frames import Frame
 from hil.recording import schemas
 from hil.recording.handover import (
     BATCH,

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from hil.life_cycle import State
+from hil.core.life_cycle import State
 
 CDR_HEADER = b"\x00\x01\x00\x00"
 """Encapsulation: plain CDR, little endian. Alignment counts from its end."""

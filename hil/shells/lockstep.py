@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Protocol
 
-from hil.frames import Frame
+from hil.core.frames import Frame
 from hil.shells.run_plan import Ending, StopRequest
 from hil.shells.session import Session
 

@@ -11,8 +11,8 @@ import contextlib
 from collections.abc import Callable
 from time import monotonic_ns, sleep
 
-from hil.errors import LinkError
-from hil.events import Event, Severity
+from hil.core.errors import LinkError
+from hil.core.events import Event, Severity
 from hil.links import Link
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, StopRequest
 from hil.shells.session import Session

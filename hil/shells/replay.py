@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from hil import __version__
-from hil.errors import HilError, RecordingError, ReplayMismatchError
-from hil.events import AxisSignals, Event, Output
-from hil.frames import Frame
-from hil.gateway import Gateway
-from hil.life_cycle import Trigger
+from hil.core.errors import HilError, RecordingError, ReplayMismatchError
+from hil.core.events import AxisSignals, Event, Output
+from hil.core.frames import Frame
+from hil.core.gateway import Gateway
+from hil.core.life_cycle import Trigger
 from hil.recording.reader import (
     AxisRecorded,
     CycleRecorded,
@@ -30,7 +30,7 @@ from hil.recording.reader import (
     Recording,
 )
 from hil.recording.recorder import LINK_FAILED, NOT_SENT
-from hil.run_setup import RunSetup, setup_from_texts
+from hil.shells.run_setup import RunSetup, setup_from_texts
 
 ROUNDING = 1e-9
 """Signals behind a law or a sine may differ by so much, in their unit or relatively: machines round apart."""

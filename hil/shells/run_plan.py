@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from hil.gateway import Gateway
-from hil.life_cycle import State, Trigger
+from hil.core.gateway import Gateway
+from hil.core.life_cycle import State, Trigger
 
 CENTRING_PERIODS = 3
 """Periods that centred commands are sent for at the end, so that the board applies them in either mode."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from hil.errors import LinkError
-from hil.events import Cycle, Event, Moderator, Output, Severity
-from hil.frames import Frame
-from hil.gateway import Gateway
-from hil.life_cycle import Trigger
+from hil.core.errors import LinkError
+from hil.core.events import Cycle, Event, Moderator, Output, Severity
+from hil.core.frames import Frame
+from hil.core.gateway import Gateway
+from hil.core.life_cycle import Trigger
+from hil.core.wire.codec import RPDO1_DAC
 from hil.recording.recorder import LINK_FAILED, NOT_SENT, Recorder
 from hil.shells.run_plan import Ending, RunPlan
-from hil.wire.codec import RPDO1_DAC
 
 
 class Audience(Protocol):

@@ -13,7 +13,7 @@ from support.arm_bench import PERIOD_S, identify, prbs
 
 import firmware_sim.arm
 from hil.cli import main
-from hil.life_cycle import State
+from hil.core.life_cycle import State
 from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
 from hil.shells.replay import verify

@@ -15,24 +15,24 @@ import pytest
 from numpy.typing import NDArray
 from support.drawn_curves import drawn_curves
 
-from design.comparison import Candidate
-from design.design_file import read_design
-from design.plant import paper_plant, read_plant
-from design.procedure import Design, carry_out
-from firmware_sim.linear_plant import LinearPlant
+from design.closed_loop.comparison import Candidate
+from design.models.plant import paper_plant, read_plant
+from design.synthesis.design_file import read_design
+from design.synthesis.procedure import Design, carry_out
+from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.cli import main
-from hil.events import Cycle, Event
-from hil.gateway import Gateway
-from hil.laws import ControlLaw
-from hil.life_cycle import State
+from hil.core.control_law import ControlLaw
+from hil.core.events import Cycle, Event
+from hil.core.gateway import Gateway
+from hil.core.life_cycle import State
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
-from hil.run_setup import RunSetup, load_setup
 from hil.shells.lockstep import Lockstep
 from hil.shells.run_plan import Ending, RunPlan, StopRequest
+from hil.shells.run_setup import RunSetup, load_setup
 from hil.shells.session import Session
-from hil.summary import StepResponse, summarise
+from hil.views.summary import StepResponse, summarise
 
 Values = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def test_design_for_the_arms_axis_does_on_the_arm_what_the_report_says(
     """README's sequence, both ways: a step up takes a little longer than the model's, one down less."""
     monkeypatch.chdir(tmp_path)
     assert main(["design", "vertical"]) == 0
-    text = resources.files("design").joinpath("plants/vertical.json").read_text()
+    text = resources.files("design.models").joinpath("plants/vertical.json").read_text()
     reported = carry_out(read_design("", "design.toml"), read_plant(text, "vertical")).measures[0]
     settling_s = []
     for size in ("0.1", "-0.1"):

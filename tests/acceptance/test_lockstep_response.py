@@ -6,15 +6,15 @@ import control
 import numpy as np
 import pytest
 
-from firmware_sim.linear_plant import LinearPlant
+from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
-from hil.events import Cycle, Event
-from hil.frames import Frame
-from hil.laws import ControlLaw, realise
-from hil.life_cycle import State
-from hil.run_setup import RunSetup, load_setup, setup_from_texts
+from hil.core.control_law import ControlLaw, realise
+from hil.core.events import Cycle, Event
+from hil.core.frames import Frame
+from hil.core.life_cycle import State
 from hil.shells.lockstep import Lockstep
 from hil.shells.run_plan import Ending, RunPlan, StopRequest
+from hil.shells.run_setup import RunSetup, load_setup, setup_from_texts
 from hil.shells.session import Session
 
 PERIOD_S = 0.0112

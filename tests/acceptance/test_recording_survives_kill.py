@@ -23,9 +23,9 @@ from mcap.reader import NonSeekingReader, make_reader
 from support.patient_rig import write_patient_rig
 from support.recorded_runs import PERIOD_S, children_of
 
+from hil.core.wire import codec
 from hil.links import Link, open_link
 from hil.recording.reader import Recording
-from hil.wire import codec
 
 LIMIT_S = 20.0
 

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from hil.cli import main
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
 from hil.recording.reader import Recording
 from hil.recording.schemas import AXIS_SIGNALS, CYCLE, layout_of
 from hil.shells.replay import verify

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from hil.cli import launch, main
-from hil.events import Event, Severity
-from hil.life_cycle import State
+from hil.core.events import Event, Severity
+from hil.core.life_cycle import State
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
-from hil.summary import StepResponse, summarise
+from hil.views.summary import StepResponse, summarise
 
 HIL = [sys.executable, "-m", "hil.cli"]
 

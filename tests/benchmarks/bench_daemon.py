@@ -22,10 +22,10 @@ from can.interfaces.virtual import VirtualBus
 from numpy.typing import NDArray
 
 from hil.cli.launch import run_lockstep, run_realtime
+from hil.core.wire import codec
 from hil.recording.reader import Recording
-from hil.run_setup import load_setup
 from hil.shells.run_plan import RunPlan
-from hil.wire import codec
+from hil.shells.run_setup import load_setup
 
 PERIOD_S = 0.0112
 LOCKSTEP_S = 300.0
@@ -46,7 +46,7 @@ def microseconds(function: Callable[[], object], repeats: int) -> float:
 
 
 def bench_codec() -> None:
-    database = cantools.database.load_file(str(files("hil") / "wire" / "arm.dbc"))
+    database = cantools.database.load_file(str(files("hil.core.wire") / "arm.dbc"))
     data = codec.encode_tpdo1_adc(1.0, 5.0, 9.0, 7, 99)
     message = database.get_message_by_name("RPDO1_DAC")
     values = {"Valve1": 1.0, "Valve2": 5.0, "Valve3": 9.0, "Counter": 7, "Crc8": 99}

@@ -36,17 +36,18 @@ from pymoo.optimize import minimize
 from support.paper_loop import G0, W1
 from support.random_systems import System, margin_at, slycot_margins, systems
 
-from design import margins
-from design import polynomials as poly
-from design.boxes import Box
-from design.central_controller import central_controllers, optimal_margins
-from design.loop_shaping import shaped
-from design.loops import Loops
-from design.margins import characteristic, margin_and_frequency, stability_margin
-from design.plant import paper_plant
-from design.structures import STRUCTURES, IntegralWeight, of_error
-from design.synthesis import synthesise
-from design.weight_selection import select_weight
+from design.closed_loop.loops import Loops
+from design.mathematics import polynomials as poly
+from design.models.controller import of_error
+from design.models.plant import paper_plant
+from design.robustness import margins
+from design.robustness.central_controller import central_controllers, optimal_margins
+from design.robustness.loop_shaping import shaped
+from design.robustness.margins import characteristic, margin_and_frequency, stability_margin
+from design.search.boxes import Box
+from design.synthesis.fixed_structure import synthesise
+from design.synthesis.structures import STRUCTURES, IntegralWeight
+from design.synthesis.weight_selection import select_weight
 
 WEIGHTS, CONTROLLERS = 2000, 6000
 SEEDS = 40

@@ -20,7 +20,7 @@ from firmware_sim.arm.conditions import (
     Temperature,
 )
 from firmware_sim.arm.parameters import AXES, GRAVITY_M_S2, ArmParameters, read_arm
-from hil.errors import DocumentError, SimulationError
+from hil.core.errors import DocumentError, SimulationError
 
 MILLISECOND_NS = 1_000_000
 CENTRED = (5.0, 5.0, 5.0)

@@ -11,7 +11,9 @@ from collections.abc import Callable, Sequence
 from random import Random
 from typing import NamedTuple, TypeAlias
 
-from helpers import (
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.gateway_bench import (
     ADC_UP,
     AXES,
     DAC_UP,
@@ -24,19 +26,17 @@ from helpers import (
     make_rig,
     sample_frame,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from firmware_sim.faults import AdcFaults, DacFaults
-from hil.controller_file import Law, Pid, TransferFunction
-from hil.events import Output
-from hil.frames import Frame
-from hil.gateway import Gateway
-from hil.guards import FIRST_ANSWER_PERIODS, UNCOUNTED_ANSWER_PERIODS
-from hil.life_cycle import TRANSITIONS, State, Trigger
-from hil.rig import Rig
-from hil.wire import codec
-from hil.wire.crc8 import crc8_j1850
+from firmware_sim.boards.faults import AdcFaults, DacFaults
+from hil.core.controller_file import Law, Pid, TransferFunction
+from hil.core.events import Output
+from hil.core.frames import Frame
+from hil.core.gateway import Gateway
+from hil.core.life_cycle import TRANSITIONS, State, Trigger
+from hil.core.rig import Rig
+from hil.core.sample_guard import FIRST_ANSWER_PERIODS, UNCOUNTED_ANSWER_PERIODS
+from hil.core.wire import codec
+from hil.core.wire.crc8 import crc8_j1850
 
 COUNT_V = 10.0 / 32768
 PERIOD_NS = 11_200_000

@@ -8,11 +8,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from support.random_systems import System, patient, systems
 
-from design import loop_shaping
-from design.central_controller import central_controllers, optimal_margins
-from design.margins import margin_and_frequency, stability_margin
-from design.plant import Sampling, TransferFunction, delayed, zero_order_hold
-from design.realisation import realise, transfer_function
+from design.models.plant import Sampling, TransferFunction, delayed, zero_order_hold
+from design.models.realisation import realise, transfer_function
+from design.robustness import loop_shaping
+from design.robustness.central_controller import central_controllers, optimal_margins
+from design.robustness.margins import margin_and_frequency, stability_margin
 
 WELL_BEHAVED = {"least_damping": 0.05}
 

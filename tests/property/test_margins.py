@@ -16,8 +16,9 @@ from support.random_systems import (
     systems,
 )
 
-from design import polynomials as poly
-from design.margins import (
+from design.mathematics import polynomials as poly
+from design.models.plant import Sampling, TransferFunction, delayed, zero_order_hold
+from design.robustness.margins import (
     characteristic,
     disturbance_peak,
     gain_margins,
@@ -25,7 +26,6 @@ from design.margins import (
     phase_margin,
     stability_margin,
 )
-from design.plant import Sampling, TransferFunction, delayed, zero_order_hold
 
 CLEAR_OF_THE_AXIS = 1e-6
 

@@ -8,10 +8,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from support.random_systems import System, patient, systems
 
-from design.central_controller import central_controllers
-from design.margins import stability_margin
-from design.nu_gap import chordal_distance, nu_gap
-from design.plant import Sampling, TransferFunction, delayed, zero_order_hold
+from design.models.plant import Sampling, TransferFunction, delayed, zero_order_hold
+from design.robustness.central_controller import central_controllers
+from design.robustness.margins import stability_margin
+from design.robustness.nu_gap import chordal_distance, nu_gap
 
 small_systems = systems(most_order=4, least_damping=0.01)
 quick = settings(patient, max_examples=50)

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.wire import codec
-from hil.wire.crc8 import crc8_j1850
+from hil.core.wire import codec
+from hil.core.wire.crc8 import crc8_j1850
 
 DATABASE: Any = cantools.database.load_file(str(Path(codec.__file__).with_name("arm.dbc")))
 MESSAGES = [message for message in DATABASE.messages if message.signals]

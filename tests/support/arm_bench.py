@@ -14,8 +14,8 @@ from scipy.signal import lfilter
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.conditions import AnyChange
 from firmware_sim.arm.parameters import ArmParameters, shipped_arm
-from hil.controller_file import Pid
-from hil.laws import ControlLaw
+from hil.core.control_law import ControlLaw
+from hil.core.controller_file import Pid
 
 PERIOD_S = 0.0112
 PERIOD_NS = 11_200_000

@@ -26,14 +26,14 @@ from canopen.objectdictionary import (
 )
 
 from firmware_sim import cli
-from firmware_sim.linear_plant import LinearPlant
-from hil.rig import read_rig
+from firmware_sim.plants.linear_plant import LinearPlant
+from hil.core.rig import read_rig
 
 LIMIT_S = 20
 PERIOD_S = 0.0112
 CENTRE = 16384
 VOLTS = 10 / 32768
-RIG = read_rig((files("hil") / "rig.toml").read_text(), "rig.toml")
+RIG = read_rig((files("hil.shipped") / "rig.toml").read_text(), "rig.toml")
 
 ANALOGUE_INPUT, ANALOGUE_OUTPUT = 0x6401, 0x6411
 COUNTER_AND_CRC = 0x2000

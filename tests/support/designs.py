@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 
-from design.design_file import read_design
-from design.paper import Reproduction, reproduce
-from design.plant import Plant, paper_plant
-from design.procedure import Design, carry_out
+from design.models.plant import Plant, paper_plant
+from design.paper.reproduction import Reproduction, reproduce
+from design.synthesis.design_file import read_design
+from design.synthesis.procedure import Design, carry_out
 
 PERIOD_S = 0.0112
 

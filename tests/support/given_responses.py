@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from design.loops import Loops
-from design.plant import Sampling, TransferFunction
-from design.structures import of_error
+from design.closed_loop.loops import Loops
+from design.models.controller import of_error
+from design.models.plant import Sampling, TransferFunction
 
 ONE = of_error(np.array([[1.0]]), np.array([[1.0]]))
 Values = NDArray[np.float64]

@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from hil.errors import LinkError
-from hil.frames import Frame
+from hil.core.errors import LinkError
+from hil.core.frames import Frame
 from hil.links import Link
 
 Pair = tuple[Link, Link]

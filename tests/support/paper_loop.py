@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from design.plant import TransferFunction, paper_plant
-from design.structures import STRUCTURES, Controller
+from design.models.controller import Controller
+from design.models.plant import TransferFunction, paper_plant
+from design.synthesis.structures import STRUCTURES
 
 PERIOD_S = 0.0112
 G0 = paper_plant().transfer_function()

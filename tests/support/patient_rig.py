@@ -12,7 +12,7 @@ STALE_PERIODS, WATCHDOG_PERIODS, HEARTBEAT_PERIODS = 40, 45, 180
 
 def write_patient_rig(path: Path) -> str:
     """Write the rig file to ``path``; returns it as a command's argument."""
-    text = (Path(hil.__file__).parent / "rig.toml").read_text()
+    text = (Path(hil.__file__).parent / "shipped" / "rig.toml").read_text()
     for key, periods, places in (
         ("stale_after_periods", STALE_PERIODS, 1),
         ("watchdog_periods", WATCHDOG_PERIODS, 1),

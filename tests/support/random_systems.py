@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from design.plant import TransferFunction
+from design.models.plant import TransferFunction
 
 patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
 """Random loops are often unstable, and then are no example; nor does a busy machine make a test fail."""

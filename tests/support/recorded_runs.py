@@ -12,9 +12,9 @@ from unittest import mock
 
 import msgspec
 
-from hil.events import AxisSignals, Cycle, Event, Severity
-from hil.frames import Frame
-from hil.life_cycle import State
+from hil.core.events import AxisSignals, Cycle, Event, Severity
+from hil.core.frames import Frame
+from hil.core.life_cycle import State
 from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, RunHeader
 from hil.recording.mcap_writer import McapWriter
 from hil.recording.recorder import Recorder

@@ -1,66 +1,93 @@
-"""The house's rules on imports, held by a walk over the syntax trees. Imports inside functions count too."""
+"""The rules on imports, derived from the folders and checked by a walk over the syntax trees.
+
+Imports inside functions count too.
+"""
 
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
 
-FLOORS = {
-    "hil": 0,
-    "hil.errors": 0,
-    "hil.events": 0,
-    "hil.frames": 0,
-    "hil.axis_loops": 1,
-    "hil.controller_file": 1,
-    "hil.documents": 1,
-    "hil.guards": 1,
-    "hil.laws": 1,
-    "hil.life_cycle": 1,
-    "hil.limits": 1,
-    "hil.rig": 1,
-    "hil.setpoints": 1,
-    "hil.supervision": 1,
-    "hil.wire": 1,
-    "hil.wire.codec": 1,
-    "hil.wire.compile_dbc": 1,
-    "hil.wire.crc8": 1,
-    "hil.gateway": 2,
-    "hil.doctor": 3,
-    "hil.links.*": 3,
-    "hil.plots": 3,
-    "hil.processes": 3,
-    "hil.recording.*": 3,
-    "hil.rights": 3,
-    "hil.onlooker": 3,
-    "hil.run_setup": 3,
-    "hil.shells.*": 3,
-    "hil.summary": 3,
-    "hil.vcan.*": 3,
-    "hil.cli.*": 4,
-}
-"""The floor of every module; ``.*`` stands for a package with all that is in it."""
+PURE = (
+    "hil.core",
+    "firmware_sim.boards",
+    "firmware_sim.arm",
+    "firmware_sim.plants",
+    "design.mathematics",
+    "design.models",
+    "design.robustness",
+    "design.closed_loop",
+    "design.search",
+    "design.synthesis",
+)
+"""Folders that do no I/O, read no clock and start no thread."""
 
-CORE = 2
-"""Up to this floor: no I/O, no clock."""
 OUTSIDE = {"asyncio", "can", "mcap", "multiprocessing", "select", "selectors", "serial", "signal", "socket"}
 OUTSIDE |= {"subprocess", "threading", "time"}
-COMMAND_LINE = 4
+"""Modules that do I/O, read a clock or start a thread."""
 
-FROM_HIL_FOR_DESIGN = {
-    "controller_file",
-    "documents",
-    "errors",
-    "laws",
-    "recording",
-    "rig",
-    "run_setup",
-    "setpoints",
+MAY_IMPORT = {
+    "hil.core": set(),
+    "hil.shipped": set(),
+    "hil.host": {"hil.core", "hil.links"},
+    "hil.links": {"hil.core"},
+    "hil.recording": {"hil.core", "hil.host"},
+    "hil.shells": {"hil.core", "hil.host", "hil.links", "hil.recording"},
+    "hil.views": {"hil.core", "hil.host", "hil.recording"},
+    "hil.cli": {"hil.core", "hil.host", "hil.links", "hil.recording", "hil.shells", "hil.views"},
+    "design.mathematics": set(),
+    "design.search": {"design.mathematics"},
+    "design.models": {"design.mathematics"},
+    "design.robustness": {"design.mathematics", "design.models"},
+    "design.closed_loop": {"design.mathematics", "design.models", "design.robustness"},
+    "design.synthesis": {
+        "design.mathematics",
+        "design.search",
+        "design.models",
+        "design.robustness",
+        "design.closed_loop",
+    },
+    "design.paper": {
+        "design.mathematics",
+        "design.search",
+        "design.models",
+        "design.robustness",
+        "design.closed_loop",
+        "design.synthesis",
+    },
+    "design.output": {
+        "design.mathematics",
+        "design.search",
+        "design.models",
+        "design.robustness",
+        "design.closed_loop",
+        "design.synthesis",
+        "design.paper",
+    },
+    "firmware_sim.boards": set(),
+    "firmware_sim.plants": set(),
+    "firmware_sim.arm": {"firmware_sim.plants"},
 }
+"""Folder to the folders of the same package that it may import, besides itself and the package's ``errors``.
+
+Modules that lie directly in a package, such as ``design.cli``, are the outermost layer: they may import every
+folder.
+"""
+
+FROM_HIL_FOR_DESIGN = ("hil.core", "hil.recording", "hil.host.text_file")
+FROM_HIL_FOR_FIRMWARE = {
+    "hil.core.documents",
+    "hil.core.errors",
+    "hil.core.frames",
+    "hil.core.rig",
+    "hil.core.setpoints",
+}
+"""No wire code, guard or limit is shared: the simulated boards must find the gateway's mistakes."""
 
 
 def modules(package: str) -> dict[str, Path]:
@@ -89,55 +116,65 @@ def imports(path: Path) -> Iterator[str]:
                 yield inner if inner in ALL else node.module
 
 
-def floor(module: str) -> int:
-    if module in FLOORS:
-        return FLOORS[module]
-    packages = [module, *(module.rsplit(".", depth)[0] for depth in range(1, module.count(".") + 1))]
-    floors = [FLOORS[f"{package}.*"] for package in packages if f"{package}.*" in FLOORS]
-    assert floors, f"{module} is on no floor yet: add it to FLOORS"
-    return floors[0]
+def folder(module: str) -> str:
+    """The folder of a module, two names deep; the package itself for a module that lies directly in it."""
+    names = module.split(".")
+    path = ROOT.joinpath(*names[:2])
+    return ".".join(names[:2]) if path.is_dir() else names[0]
 
 
-@pytest.mark.parametrize("module", OURS["hil"])
-def test_every_module_of_hil_has_a_floor_and_imports_go_down(module: str) -> None:
-    own_floor = floor(module)
-    for imported in imports(OURS["hil"][module]):
-        if imported in OURS["hil"]:
-            assert floor(imported) <= own_floor, f"{module} imports {imported}"
+def is_in(module: str, packages: Iterable[str]) -> bool:
+    return any(module == package or module.startswith(f"{package}.") for package in packages)
 
 
-@pytest.mark.parametrize(
-    "module", [module for module in OURS["hil"] if FLOORS.get(module, COMMAND_LINE) <= CORE]
-)
-def test_the_core_does_no_io_and_reads_no_clock(module: str) -> None:
-    roots = {imported.partition(".")[0] for imported in imports(OURS["hil"][module])}
+def outer(module: str) -> bool:
+    """Whether the module lies directly in its package, as ``design.cli`` does."""
+    return "." not in folder(module)
+
+
+def test_every_folder_has_a_rule() -> None:
+    folders = {folder(module) for module in ALL if not outer(module)}
+    assert folders - {"firmware_sim.scenarios"} == set(MAY_IMPORT)
+
+
+@pytest.mark.parametrize("module", sorted(module for module in ALL if not outer(module)))
+def test_imports_follow_the_folders(module: str) -> None:
+    package = module.partition(".")[0]
+    own = folder(module)
+    for imported in imports(OURS[package][module]):
+        if imported not in OURS[package] or imported in (package, f"{package}.errors"):
+            continue
+        assert folder(imported) in {own, *MAY_IMPORT[own]}, f"{module} imports {imported}"
+
+
+@pytest.mark.parametrize("module", sorted(module for module in ALL if is_in(module, PURE)))
+def test_pure_folders_do_no_io_and_read_no_clock(module: str) -> None:
+    package = module.partition(".")[0]
+    roots = {imported.partition(".")[0] for imported in imports(OURS[package][module])}
     assert not roots & OUTSIDE
 
 
-@pytest.mark.parametrize("module", OURS["hil"])
-def test_hil_knows_nothing_of_design_and_only_its_command_line_of_the_firmware(module: str) -> None:
+@pytest.mark.parametrize("module", sorted(OURS["hil"]))
+def test_hil_never_imports_design_and_only_its_command_line_imports_the_firmware(module: str) -> None:
     roots = {imported.partition(".")[0] for imported in imports(OURS["hil"][module])}
     assert "design" not in roots
-    assert "firmware_sim" not in roots or floor(module) == COMMAND_LINE
+    assert "firmware_sim" not in roots or folder(module) == "hil.cli"
 
 
-@pytest.mark.parametrize("module", OURS["firmware_sim"])
-def test_the_firmware_has_a_codec_and_rules_of_its_own(module: str) -> None:
+@pytest.mark.parametrize("module", sorted(OURS["firmware_sim"]))
+def test_the_firmware_shares_no_wire_code_or_guard_with_the_gateway(module: str) -> None:
     for imported in imports(OURS["firmware_sim"][module]):
-        assert not imported.startswith(("hil.wire", "hil.gateway", "hil.guards", "hil.limits", "design"))
+        assert not is_in(imported, ["design"])
+        if is_in(imported, ["hil.core"]):
+            assert imported in FROM_HIL_FOR_FIRMWARE, f"{module} imports {imported}"
 
 
-@pytest.mark.parametrize("module", OURS["design"])
-def test_design_takes_documents_and_laws_from_hil_and_no_more(module: str) -> None:
+@pytest.mark.parametrize("module", sorted(OURS["design"]))
+def test_design_imports_the_core_and_recordings_of_hil_and_no_more(module: str) -> None:
     for imported in imports(OURS["design"][module]):
-        package, _, rest = imported.partition(".")
-        assert package != "firmware_sim"
-        if package == "hil" and rest:
-            assert rest.partition(".")[0] in FROM_HIL_FOR_DESIGN, imported
-
-
-def test_the_table_lists_no_module_that_is_gone() -> None:
-    assert {name.removesuffix(".*") for name in FLOORS} <= set(OURS["hil"])
+        assert not is_in(imported, ["firmware_sim"])
+        if is_in(imported, ["hil"]) and imported != "hil":
+            assert is_in(imported, FROM_HIL_FOR_DESIGN), f"{module} imports {imported}"
 
 
 SLOW = {"scipy", "control", "matplotlib", "rich", "mcap", "zstandard"}
@@ -190,7 +227,7 @@ def test_a_daemon_is_ready_without_the_slow_libraries(
         [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True, cwd=tmp_path
     )
     (loaded,) = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("loaded ")]
-    assert "hil.rig" in loaded
+    assert "hil.core.rig" in loaded
     assert SLOW & set(loaded) == allowed
 
 

@@ -10,8 +10,8 @@ import pytest
 from support.lawicel_adapters import TwoAdapters
 from support.link_contract import KINDS, ErrorFramesToo, LinkContract, Pair, arrived
 
-from hil.errors import LinkError
-from hil.frames import Frame
+from hil.core.errors import LinkError
+from hil.core.frames import Frame
 from hil.links import open_link
 
 RECEIVERS = Path("/proc/net/can/rcvlist_all")

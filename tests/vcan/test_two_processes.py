@@ -19,15 +19,15 @@ import numpy as np
 import pytest
 from support.patient_rig import STALE_PERIODS, WATCHDOG_PERIODS, write_patient_rig
 
-from firmware_sim.codec import Converter, decode_values
-from firmware_sim.linear_plant import LinearPlant
-from hil.events import Severity
-from hil.gateway import ADC_NODE, OWN_IDENTIFIERS
+from firmware_sim.boards.codec import Converter, decode_values
+from firmware_sim.plants.linear_plant import LinearPlant
+from hil.core.board_watch import NMT_START
+from hil.core.events import Severity
+from hil.core.gateway import ADC_NODE, OWN_IDENTIFIERS
+from hil.core.rig import read_rig
+from hil.core.wire import codec
 from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Recording
-from hil.rig import read_rig
 from hil.shells.replay import verify
-from hil.supervision import NMT_START
-from hil.wire import codec
 
 pytestmark = pytest.mark.vcan
 

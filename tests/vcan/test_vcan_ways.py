@@ -3,14 +3,14 @@
 import subprocess
 import sys
 
-from hil.vcan import Way, choose_way
+from hil.host.vcan import Way, choose_way
 
 VCAN = [sys.executable, "-m", "hil.cli", "vcan", "--"]
 EXCHANGE = "candump -L -n 1 vcan0 & until cansend vcan0 123#C0FFEE && ! kill -0 $!; do :; done; exit 9"
 
 
 def way_in(namespace: list[str]) -> str:
-    program = "from hil.vcan import choose_way; print(choose_way().name, end='')"
+    program = "from hil.host.vcan import choose_way; print(choose_way().name, end='')"
     return subprocess.run([*namespace, sys.executable, "-c", program], capture_output=True, text=True).stdout
 
 

@@ -15,15 +15,17 @@ import numpy as np
 import pytest
 from support.designs import HEAVIER, PERIOD_S, reproduction, sampled_design
 
-from design import paper, paper_claims, procedure
 from design.cli import STRUCTURE_NAMES
-from design.design_file import example_text
-from design.plant import paper_plant
-from design.structures import STRUCTURES
+from design.models.plant import paper_plant
+from design.paper import claims as paper_claims
+from design.paper import reproduction as paper
+from design.synthesis.design_file import example_text
+from design.synthesis.fixed_structure import procedure
+from design.synthesis.structures import STRUCTURES
 from hil.cli import main
-from hil.controller_file import Pid, check_controller_fits, read_controller
-from hil.documents import to_json
-from hil.run_setup import load_setup
+from hil.core.controller_file import Pid, check_controller_fits, read_controller
+from hil.core.documents import to_json
+from hil.shells.run_setup import load_setup
 
 SHORT = "[search]\nweight_evaluations = 300\ncontroller_evaluations = 300\n"
 

@@ -15,12 +15,12 @@ import pytest
 from support.designs import sampled_design
 from support.paper_loop import G0, PERIOD_S
 
-from design.controller_files import controller_files
 from design.errors import DesignError
-from design.plant import Plant, Sampling, paper_plant, read_plant
+from design.models.plant import Plant, Sampling, paper_plant, read_plant
+from design.output.controller_files import controller_files
 from design.python_control import controller_to_control, plant_from_control, plant_to_control
-from hil.controller_file import Pid, read_controller
-from hil.errors import DocumentError, HilError
+from hil.core.controller_file import Pid, read_controller
+from hil.core.errors import DocumentError, HilError
 
 SAMPLING = Sampling(PERIOD_S, 1)
 FILES = {Path(name).stem: text for name, text in controller_files(sampled_design()).items()}

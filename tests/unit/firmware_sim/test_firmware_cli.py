@@ -18,10 +18,10 @@ import pytest
 from support.board_bench import RIG, HandPlant
 
 from firmware_sim import cli
-from firmware_sim.codec import decode_values
+from firmware_sim.boards.codec import decode_values
 from firmware_sim.simulated_rig import SimulatedRig
-from hil.errors import HilError, LinkError
-from hil.frames import Frame
+from hil.core.errors import HilError, LinkError
+from hil.core.frames import Frame
 from hil.links import Link, Received, open_link
 
 COMMAND = [sys.executable, "-m", "firmware_sim"]
@@ -144,7 +144,7 @@ def test_wrong_input_is_told_without_a_traceback(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    shipped = (Path(cli.__file__).parents[1] / "hil" / "rig.toml").read_text()
+    shipped = (Path(cli.__file__).parents[1] / "hil" / "shipped" / "rig.toml").read_text()
     Path("broken.toml").write_text(re.sub(r"period_s = [\d.]+", "period_s = 7.0", shipped))
     Path("binary.toml").write_bytes(b"\xff\xfe")
     assert cli.main(arguments) == 2
@@ -305,7 +305,7 @@ def test_the_rig_file_sets_the_boards_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, process_kept: None, encoding: str
 ) -> None:
     path = tmp_path / "rig.toml"
-    shipped = (Path(cli.__file__).parents[1] / "hil" / "rig.toml").read_text()
+    shipped = (Path(cli.__file__).parents[1] / "hil" / "shipped" / "rig.toml").read_text()
     path.write_text(shipped.replace("watchdog_periods = 8", "watchdog_periods = 7"), encoding=encoding)
     seen = []
     monkeypatch.setattr(cli, "simulate", lambda rig, *_: seen.append(rig))
@@ -317,7 +317,7 @@ def test_the_boards_start_light_and_share_nothing_of_the_gateways_wire() -> None
     program = (
         "import sys, firmware_sim.cli\n"
         "heavy = {'numpy', 'scipy', 'control', 'matplotlib', 'can', 'rich'} & set(sys.modules)\n"
-        "shared = {name for name in sys.modules if name.startswith(('hil.wire', 'hil.gateway'))}\n"
+        "shared = {name for name in sys.modules if name.startswith(('hil.core.wire', 'hil.core.gateway'))}\n"
         "sys.exit(f'imported {heavy | shared}' if heavy | shared else 0)"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

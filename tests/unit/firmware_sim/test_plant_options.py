@@ -13,7 +13,6 @@ from support.arm_files import SHIPPED_TEXT
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.event_text import parse_event
-from firmware_sim.linear_plant import LinearPlant
 from firmware_sim.plant_options import (
     add_plant_options,
     build_plant,
@@ -21,10 +20,11 @@ from firmware_sim.plant_options import (
     plant_arguments,
     plant_texts,
 )
-from hil.errors import DocumentError
-from hil.rig import read_rig
+from firmware_sim.plants.linear_plant import LinearPlant
+from hil.core.errors import DocumentError
+from hil.core.rig import read_rig
 
-RIG_TEXT = (files("hil") / "rig.toml").read_text()
+RIG_TEXT = (files("hil.shipped") / "rig.toml").read_text()
 RIG = read_rig(RIG_TEXT, "rig.toml")
 CENTRED = (5.0, 5.0, 5.0)
 

@@ -13,7 +13,7 @@ import serial
 from can.interfaces.slcan import slcanBus
 
 from firmware_sim.serial_device import SerialDevice
-from hil.frames import Frame
+from hil.core.frames import Frame
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ from support.arm_files import arm_with
 from firmware_sim.arm import native
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.parameters import shipped_arm
-from firmware_sim.plant import Plant
-from hil.errors import EnvironmentLackError, SimulationError
+from firmware_sim.plants.plant import Plant
+from hil.core.errors import EnvironmentLackError, SimulationError
 
 CENTRED = (5.0, 5.0, 5.0)
 PERIOD_NS = 11_200_000

@@ -19,15 +19,15 @@ from support.arm_bench import (
     stairs,
 )
 
-from design.measured import compare
-from design.plant import read_plant
+from design.models.measured_record import compare
+from design.models.plant import read_plant
 from firmware_sim.arm.conditions import AnyChange, Payload, SupplyPressure
 from firmware_sim.arm.parameters import AXES, shipped_arm
-from hil.controller_file import read_controller
+from hil.core.controller_file import read_controller
 
 VERTICAL, HORIZONTAL, ROTATION = range(3)
 LAWS = tuple(
-    read_controller((resources.files("hil") / f"controllers/{name}.json").read_text(), name).law
+    read_controller((resources.files("hil.shipped") / f"controllers/{name}.json").read_text(), name).law
     for name in ("ppid", "horizontal", "rotation")
 )
 
@@ -65,7 +65,7 @@ LOADED = (Payload(at_s=0.0, mass_kg=3.0), SupplyPressure(at_s=0.0, gauge_kpa=400
 def test_each_axis_identifies_as_the_plant_that_is_shipped_to_design_for(
     name: str, axis: int, stops: float, changes: Sequence[AnyChange]
 ) -> None:
-    plant = json.loads((resources.files("design") / f"plants/{name}.json").read_text())
+    plant = json.loads((resources.files("design.models") / f"plants/{name}.json").read_text())
     slow, *mode = sorted(np.roots(plant["den"]), key=abs)
     model = identify(*excite(shipped_arm(), axis, 0.4, seed=1, changes=changes), stops=stops)
     assert model.slow_rad_s == pytest.approx(-slow.real, rel=0.03)
@@ -78,14 +78,16 @@ def test_each_axis_identifies_as_the_plant_that_is_shipped_to_design_for(
 
 @pytest.mark.parametrize("axis", [VERTICAL, HORIZONTAL, ROTATION], ids=AXES)
 def test_the_record_shipped_with_each_plant_is_the_arms(axis: int) -> None:
-    text = (resources.files("design") / f"plants/{AXES[axis]}.csv").read_text()
+    text = (resources.files("design.models") / f"plants/{AXES[axis]}.csv").read_text()
     shipped, recorded = (
         np.loadtxt(StringIO(record), delimiter=",", skiprows=1) for record in (text, record_for_fig_5(axis))
     )
     np.testing.assert_array_equal(shipped[:, :2], recorded[:, :2])
     span = shipped_arm().travel[axis]
     np.testing.assert_allclose(shipped[:, 2], recorded[:, 2], rtol=0, atol=2e-3 * span)
-    plant = read_plant((resources.files("design") / f"plants/{AXES[axis]}.json").read_text(), AXES[axis])
+    plant = read_plant(
+        (resources.files("design.models") / f"plants/{AXES[axis]}.json").read_text(), AXES[axis]
+    )
     assert compare(plant, text, AXES[axis]).fit_percent > 97.0
 
 

@@ -15,7 +15,7 @@ from firmware_sim.arm.conditions import (
     Temperature,
 )
 from firmware_sim.scenario import read_scenario
-from hil.errors import DocumentError
+from hil.core.errors import DocumentError
 
 CENTRED = (5.0, 5.0, 5.0)
 SECOND_NS = 1_000_000_000

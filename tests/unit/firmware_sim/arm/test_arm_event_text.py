@@ -17,7 +17,7 @@ from firmware_sim.arm.conditions import (
     Temperature,
 )
 from firmware_sim.arm.event_text import FORMS, parse_event
-from hil.errors import DocumentError
+from hil.core.errors import DocumentError
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import pytest
 from support.arm_files import SHIPPED_TEXT, arm_with, text_with
 
 from firmware_sim.arm.parameters import ArmParameters, read_arm, shipped_arm
-from hil.errors import DocumentError
-from hil.rig import read_rig
+from hil.core.errors import DocumentError
+from hil.core.rig import read_rig
 
 VERTICAL = "axes.vertical"
 
@@ -113,7 +113,7 @@ def test_every_number_of_the_shipped_file_says_where_it_comes_from() -> None:
 def test_shipped_arm_agrees_with_the_shipped_rig() -> None:
     from importlib import resources
 
-    rig = read_rig((resources.files("hil") / "rig.toml").read_text(encoding="utf-8"), "rig.toml")
+    rig = read_rig((resources.files("hil.shipped") / "rig.toml").read_text(encoding="utf-8"), "rig.toml")
     arm = shipped_arm()
     assert list(rig.axes) == ["vertical", "horizontal", "rotation"]
     for channel, (axis, part, travel) in enumerate(

@@ -25,9 +25,9 @@ from support.recorded_runs import (
     wait_until,
 )
 
-from hil.errors import RecordingError
-from hil.events import Event, Severity
-from hil.frames import Frame
+from hil.core.errors import RecordingError
+from hil.core.events import Event, Severity
+from hil.core.frames import Frame
 from hil.recording import pipe
 from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
 from hil.recording.recorder import BATCH_BYTES, LINK_FAILED, Recorder, RecorderReport

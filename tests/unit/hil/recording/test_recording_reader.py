@@ -23,9 +23,9 @@ from support.recorded_runs import (
     record_run,
 )
 
-from hil.errors import RecordingError
-from hil.events import Event, Severity
-from hil.frames import Frame
+from hil.core.errors import RecordingError
+from hil.core.events import Event, Severity
+from hil.core.frames import Frame
 from hil.recording.reader import Call, DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
 from hil.recording.recorder import Recorder
 

@@ -1,0 +1,1 @@
+"""Closed loops: step responses, their readings, and the specifications on them."""

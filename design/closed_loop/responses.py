@@ -1,0 +1,97 @@
+"""Batched step responses of closed loops, exact at their samples, continuous or sampled.
+
+Plant and controller keep their own states (companion forms scaled in time). A continuous loop is stepped by
+its matrix exponential (a step is constant between samples, so this is exact); a sampled loop by the exact
+map from the bilinear plane to z. Powers of the step matrix are doubled, not iterated.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from design.mathematics.matrix_exponential import exponential
+from design.mathematics.polynomials import Array
+from design.models.controller import Controller
+from design.models.plant import Sampling, TransferFunction
+from design.models.realisation import StateSpace, observer_form, sampled
+
+
+class StepResponses(NamedTuple):
+    """Unit setpoint steps at time 0 from rest: time_s (k,), y (B, k), u (B, k)."""
+
+    time_s: Array
+    y: Array
+    u: Array
+
+
+def step_responses(
+    G: TransferFunction, K: Controller, sampling: Sampling | None, step_s: float, samples: int
+) -> StepResponses:
+    """Responses of u = (num_r r - num y)/den on G, ``step_s`` apart: a sampled loop's period.
+
+    Not finite where modes are too fast for the arithmetic.
+    """
+    with np.errstate(all="ignore"):
+        loop = closed_loop(G, K)
+        A, B, C, D = loop if sampling is None else sampled(loop, sampling.period_s)
+        n = A.shape[-1]
+        M = np.zeros((len(A), n + 1, n + 1))
+        M[:, :n, :n], M[:, :n, n:] = A, B
+        if sampling is None:
+            M = exponential(M * step_s)
+        else:
+            M[:, n, n] = 1.0
+        outputs = _powers(np.concatenate([C, D], axis=-1), M, samples)
+    return StepResponses(step_s * np.arange(float(samples)), outputs[:, 0], outputs[:, 1])
+
+
+def closed_loop(G: TransferFunction, K: Controller) -> StateSpace:
+    """From r to [y, u], batched."""
+    num, den, num_r = (np.atleast_2d(p) for p in K)
+    Ag, Bg, _, Dg = observer_form(np.atleast_2d(G.den), np.atleast_2d(G.num))
+    Ak, Bk, _, Dk = observer_form(den, num_r, -num)
+    size = max(len(Ag), len(Ak), len(Dk))
+    ng, nk = Ag.shape[-1], Ak.shape[-1]
+    n = ng + nk
+    # With y = x_g[0] + Dg u and u = x_k[0] + Dk [r, y]: solve the direct path first.
+    direct = 1.0 / (1.0 - Dk[:, 0, 1] * Dg[:, 0, 0])
+    U = np.zeros((size, 1, n + 1))
+    if nk:
+        U[:, 0, ng] = 1.0
+    if ng:
+        U[:, 0, 0] = Dk[:, 0, 1]
+    U[:, 0, n] = Dk[:, 0, 0]
+    U *= direct[:, None, None]
+    Y = Dg * U
+    if ng:
+        Y[:, 0, 0] += 1.0
+    rows = np.zeros((size, n, n + 1))
+    rows[:, :ng, :ng] = Ag
+    rows[:, ng:, ng:n] = Ak
+    rows[:, :ng] += Bg @ U
+    rows[:, ng:] += Bk[:, :, 1:] @ Y
+    rows[:, ng:, n] += Bk[:, :, 0]
+    outputs = np.concatenate([Y, U], axis=1)
+    return StateSpace(rows[:, :, :n], rows[:, :, n:], outputs[:, :, :n], outputs[:, :, n:])
+
+
+def _powers(rows: Array, M: Array, samples: int) -> Array:
+    """rows M^k [0 … 0 1]' for k < samples: (B, outputs, samples), by small and giant steps."""
+    size, outputs, n = rows.shape
+    small = 1
+    blocks = rows
+    while small * small < samples:
+        blocks = np.concatenate([blocks, blocks @ M], axis=1)
+        M = M @ M
+        small *= 2
+    giant = 1
+    states = np.zeros((size, n, 1))
+    states[:, -1] = 1.0
+    while giant * small < samples:
+        states = np.concatenate([states, M @ states], axis=2)
+        M = M @ M
+        giant *= 2
+    values = (blocks @ states).reshape(size, small, outputs, giant)
+    return values.transpose(0, 2, 3, 1).reshape(size, outputs, small * giant)[:, :, :samples]

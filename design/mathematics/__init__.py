@@ -1,0 +1,1 @@
+"""Polynomials, peaks of rational functions over frequency, and the matrix exponential."""

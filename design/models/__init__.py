@@ -1,0 +1,1 @@
+"""Plant models, their realisations, what limits any controller of them, and measured records."""

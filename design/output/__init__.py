@@ -1,0 +1,1 @@
+"""What a design writes: controller files, report, figures and terminal text."""

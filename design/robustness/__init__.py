@@ -1,0 +1,1 @@
+"""Stability margins, the nu-gap, loop shaping and the central controller."""

@@ -1,0 +1,126 @@
+"""Weight selection, eqs. (8) and (9): the W1 of largest ε_opt whose loop meets the specifications.
+
+The loop that is specified: gains and crossover are those of the shaped plant Gs; times, overshoot and error
+those of the closed loop with K = W1 K∞, K∞ central for γ = factor γ_opt. Fitness is ε_opt where all hold;
+elsewhere it is graded by the violations, below 0, so that a search finds its way in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from design.closed_loop.loops import Loops
+from design.closed_loop.specifications import (
+    PAPER,
+    UNSTABLE,
+    Reading,
+    Specification,
+    compromise,
+    enough_violation,
+    readings,
+    violations,
+    wanted_crossover,
+)
+from design.errors import InfeasibleError, NotStabilisedError
+from design.mathematics import polynomials as poly
+from design.mathematics.polynomials import Array
+from design.models.controller import of_error
+from design.models.plant import Plant, Sampling, TransferFunction, as_models, limits_of
+from design.robustness.central_controller import central_controllers
+from design.robustness.loop_shaping import shaped
+from design.search.boxes import Box
+from design.search.differential_evolution import DifferentialEvolution
+from design.search.searcher import Progress, Searcher, SearchResult, maximise
+from design.synthesis.structures import IntegralWeight, Structure
+
+LEAST_COMPATIBLE = 0.25
+"""Below this ε_opt the weight is incompatible with robust stability (step 5 of the paper, [17])."""
+
+
+@dataclass(frozen=True)
+class WeightSelection:
+    """A weight W1 and what it was chosen for."""
+
+    parameters: dict[str, float]
+    weight: TransferFunction
+    """W1(s), num and den (n + 1,)."""
+    eps_opt: float
+    gamma_factor: float
+    readings: tuple[Reading, ...]
+    at_walls: tuple[str, ...]
+    """Parameters that ended at an end of their box: a wider one may allow more."""
+    sampling: Sampling | None
+    search: SearchResult
+
+    @property
+    def compatible(self) -> bool:
+        """Whether ε_opt is high enough for the weight to be used."""
+        return self.eps_opt >= LEAST_COMPATIBLE
+
+
+def select_weight(
+    plants: Plant | Sequence[Plant],
+    *,
+    structure: Structure | None = None,
+    specifications: Sequence[Specification] = PAPER,
+    sampling: Sampling | None = None,
+    gamma_factor: float = 1.1,
+    searcher: Callable[[int], Searcher] | None = None,
+    seed: int = 1,
+    evaluations: int = 2000,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> WeightSelection:
+    """The best weight over one plant, or for the worst of several. Raises DesignError.
+
+    ``searcher`` makes one for so many parameters.
+    """
+    structure = IntegralWeight() if structure is None else structure
+    models = as_models(plants, sampling)
+    box = Box(structure.parameters)
+
+    def loops(G: TransferFunction, W: TransferFunction) -> tuple[Loops, Array]:
+        Gs = shaped(G, W)
+        K_inf, eps_opt = central_controllers(Gs, gamma_factor)
+        num, den = poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den)
+        batch = Loops(G, of_error(num, den), W=W, sampling=sampling, desired=Gs)
+        return batch, eps_opt
+
+    def objective(points: Array, worth: Array) -> Array:
+        W = structure.controller(box.decode(points)).feedback
+        fitness = np.full(len(points), np.inf)
+        for G in models:
+            batch, eps_opt = loops(G, W)
+            failing = violations(specifications, batch, enough_violation(worth, eps_opt))
+            fitness = np.minimum(fitness, np.where(failing > 0.0, -failing, eps_opt))
+        return fitness
+
+    make = searcher or partial(DifferentialEvolution, seed=seed, evaluations=evaluations)
+    search = maximise(objective, make(len(box)), on_progress)
+    values = box.decode(search.best[None, :])
+    W = structure.controller(values).feedback
+    found = [(batch, float(eps_opt[0])) for batch, eps_opt in (loops(G, W) for G in models)]
+    worst = max(found, key=lambda item: float(violations(specifications, item[0])[0]))
+    read = readings(specifications, worst[0])
+    parameters = dict(zip(box.names, map(float, values[0]), strict=True))
+    at_walls = box.at_walls(search.best)
+    if search.best_fitness < 0.0:
+        limits = limits_of(plants, sampling, wanted_crossover(specifications))
+        if search.best_fitness <= -UNSTABLE:
+            raise NotStabilisedError(
+                f"no weight in its box leaves a loop that its own full-order controller stabilises{limits}"
+            )
+        raise InfeasibleError(compromise("weight", parameters, at_walls, read) + limits)
+    return WeightSelection(
+        parameters=parameters,
+        weight=TransferFunction(*(np.ravel(p) for p in W)),
+        eps_opt=min(eps for _, eps in found),
+        gamma_factor=gamma_factor,
+        readings=read,
+        at_walls=at_walls,
+        sampling=sampling,
+        search=search,
+    )

@@ -1,0 +1,1 @@
+"""Plants behind the simulated boards: the interface, and linear plants."""

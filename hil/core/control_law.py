@@ -1,0 +1,194 @@
+"""Run-time control laws: every controller file becomes one sampled state space with anti-windup.
+
+x[k+1] = A x[k] + B [r, y] + L (u_applied - u),  u = C x + D [r, y].
+
+The observer gain L is the stationary Kalman predictor of the law seen as x+ = A x + b v, u = C x + d v. For a
+law with stable zeros and d != 0 it is Hanus' conditioning, L = b/d (Hanus, Kinnaert, Henrotte, Automatica
+1987); where a zero is unstable or on the circle it is the stable gain next to it. So a saturated law forgets
+at the pace of its own zeros, and L never acts while the limits do not.
+
+Numbers are plain floats at run time: numpy costs more than it saves at these sizes. No clock, no I/O.
+"""
+
+from __future__ import annotations
+
+from operator import mul
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.core.controller_file import Law, Pid, StateSpace, TransferFunction
+from hil.core.errors import DocumentError
+
+LARGEST_COEFFICIENT = 1e12
+"""In a realisation; beyond it nothing can be computed in double precision."""
+
+Matrix = NDArray[np.float64]
+
+
+class Realisation(NamedTuple):
+    """A sampled law: A (n, n), B (n, 2), C (1, n), D (1, 2), inputs [r, y], output u in volts."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+
+def realise(law: Law, sample_time_s: float) -> Realisation:
+    """State space of a controller file's law at ``sample_time_s``; exactly what the daemon runs."""
+    match law:
+        case Pid():
+            return _realise_pid(law, sample_time_s)
+        case TransferFunction(num=num, den=den):
+            return _realise_transfer_function(np.array(num), np.array(den))
+        case StateSpace():
+            n = len(law.A)
+            A = np.array(law.A).reshape(n, n)
+            m = 1 if law.inputs == "e" else 2
+            B, C, D = (
+                np.array(law.B).reshape(n, m),
+                np.array(law.C).reshape(1, n),
+                np.array(law.D).reshape(1, m),
+            )
+            return Realisation(A, _of_error(B), C, _of_error(D)) if m == 1 else Realisation(A, B, C, D)
+
+
+def check_law_runs(law: Law, sample_time_s: float, source: str) -> None:
+    """Refuse a law that overflows, or whose anti-windup cannot be stable. Raises DocumentError."""
+    with np.errstate(all="ignore"):
+        A, B, C, D = realise(law, sample_time_s)
+    largest = float(np.max(np.abs(np.concatenate([part.ravel() for part in (A, B, C, D)]))))
+    if not largest <= LARGEST_COEFFICIENT:
+        raise DocumentError(
+            f"{source}: law: its state space at {sample_time_s} s has a coefficient of {largest:.3g}, over "
+            f"{LARGEST_COEFFICIENT:g}; scale it"
+        )
+    try:
+        conditioned = A - anti_windup_gain(A, B, C, D) @ C
+    except np.linalg.LinAlgError:
+        conditioned = np.full_like(A, np.inf)
+    if not np.all(np.isfinite(conditioned)) or np.any(np.abs(np.linalg.eigvals(conditioned)) > 1.0 - 1e-10):
+        raise DocumentError(
+            f"{source}: law: a mode that does not decay is not seen in its output or not moved by its input; "
+            "nothing would stop it while the valve is limited: give a minimal realisation"
+        )
+
+
+class ControlLaw:
+    """One axis' controller at run time. Call ``output``, limit it, then ``advance`` with what left."""
+
+    def __init__(self, law: Law, sample_time_s: float) -> None:
+        A, B, C, D = realise(law, sample_time_s)
+        L = anti_windup_gain(A, B, C, D)
+        n = A.shape[0]
+        self._A = [tuple(row) for row in A.tolist()]
+        self._Br = B[:, 0].tolist()
+        self._By = B[:, 1].tolist()
+        self._C: list[float] = C[0].tolist()
+        self._Dr, self._Dy = float(D[0, 0]), float(D[0, 1])
+        self._L: list[float] = L[:, 0].tolist()
+        # Where every mode but the slowest settles while r and y stand still.
+        self._slowest = _slowest_mode(A, C)
+        deflated = np.eye(n) - A + self._slowest @ C
+        self._settled = np.linalg.lstsq(deflated, B - self._slowest @ D, rcond=None)[0]
+        self._x = [0.0] * n
+        self._r = self._y = self._u = 0.0
+
+    def initialise(self, r: float, y: float, u: float) -> None:
+        """Bumpless hand-over: the next ``output(r, y)`` is ``u``, as if r and y had long stood still.
+
+        The law's slowest mode, its integrator where it has one, makes up for u: so nothing else moves when
+        r and y stay. A law without dynamics has nothing to initialise.
+        """
+        x = self._settled @ np.array([[r], [y]])
+        self._x = x[:, 0].tolist()
+        x = x + self._slowest * (u - self.output(r, y))
+        self._x = x[:, 0].tolist()
+
+    def output(self, r: float, y: float) -> float:
+        """Output u in volts from setpoint r and process variable y, in the axis' unit. Changes no state."""
+        u = sum(map(mul, self._C, self._x), self._Dr * r + self._Dy * y)
+        self._r, self._y, self._u = r, y, u
+        return u
+
+    def advance(self, u_applied: float) -> None:
+        """Step to the next sample; ``u_applied`` is what the limits let through, in volts."""
+        x, r, y = self._x, self._r, self._y
+        excess = u_applied - self._u
+        self._x = [
+            sum(map(mul, row, x), br * r + by * y + gain * excess)
+            for row, br, by, gain in zip(self._A, self._Br, self._By, self._L, strict=True)
+        ]
+
+
+def anti_windup_gain(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
+    """Gain L (n, 1) such that A - L C is stable: Kalman predictor of x+ = A x + B v, u = C x + D v + noise.
+
+    B (n, m), D (1, m): v is white in every input of the law. The Riccati equation is solved by
+    structure-preserving doubling (Chu, Fan, Lin, Wang 2004) after the cross term has been removed. A little
+    measurement noise keeps zeros on the unit circle (Tustin puts one at -1 in a strictly proper law) from
+    ringing.
+    """
+    n, m = B.shape
+    if n == 0:
+        return np.zeros((0, 1))
+    impulse_response = [D, *(C @ np.linalg.matrix_power(A, k) @ B for k in range(n))]
+    scale = max(float(np.max(np.abs(impulse_response))), 1e-12)
+    R = D @ D.T / m + (0.1 * scale) ** 2
+    S = B @ D.T / m
+    gain_direct = S / R
+    # Dual DARE: P = F P F' - F P C' (R + C P C')^-1 C P F' + Q
+    F = A - gain_direct @ C
+    Q = B @ B.T / m - gain_direct @ S.T
+    E, G, H = F.T.copy(), C.T @ C / R, Q
+    for _ in range(60):
+        W = np.linalg.inv(np.eye(n) + G @ H)
+        step = E.T @ H @ W @ E
+        G = G + E @ W @ G @ E.T
+        E = E @ W @ E
+        H = H + step
+        if np.abs(step).max() <= 1e-14 * max(np.abs(H).max(), 1e-300):
+            break
+    P = 0.5 * (H + H.T)
+    return np.asarray((A @ P @ C.T + S) / (R + C @ P @ C.T), dtype=np.float64)
+
+
+def _slowest_mode(A: Matrix, C: Matrix) -> Matrix:
+    """The mode (n, 1) nearest to an integrator that the output sees, scaled to C x = 1; 0 if it sees none."""
+    eigenvalues, modes = np.linalg.eig(A)
+    seen = (C @ modes)[0]
+    if not np.any(seen):
+        return np.zeros((A.shape[0], 1))
+    slowest = np.argmax(np.abs(seen) / (np.abs(1.0 - eigenvalues) + 1e-9))
+    return np.asarray((modes[:, [slowest]] / seen[slowest]).real, dtype=np.float64)
+
+
+def _realise_pid(pid: Pid, ts: float) -> Realisation:
+    """Eq. (19) by Tustin: 1/s is Ts/2 (z+1)/(z-1), the filtered derivative g (z-1)/(z-beta)."""
+    beta = (2.0 * pid.tau_d - ts) / (2.0 * pid.tau_d + ts)
+    g = 2.0 * pid.kd / (2.0 * pid.tau_d + ts)
+    half = 0.5 * pid.ki * ts
+    A = np.diag([1.0, beta])
+    B = np.array([[1.0, -1.0], [pid.c, -1.0]])
+    C = np.array([[2.0 * half, g * (beta - 1.0)]])
+    D = np.array([[pid.kp * pid.b + half + g * pid.c, -(pid.kp + half + g)]])
+    kept = [i for i, gain in enumerate((pid.ki, pid.kd)) if gain != 0.0]
+    return Realisation(A[np.ix_(kept, kept)], B[kept], C[:, kept], D)
+
+
+def _realise_transfer_function(num: Matrix, den: Matrix) -> Realisation:
+    """Observer companion form of num(z)/den(z)."""
+    n = len(den) - 1
+    a = den[1:] / den[0]
+    b = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0]
+    A = np.hstack([-a.reshape(n, 1), np.eye(n, max(n - 1, 0))]) if n else np.zeros((0, 0))
+    B = (b[1:] - a * b[0]).reshape(n, 1)
+    C = np.eye(1, n) if n else np.zeros((1, 0))
+    return Realisation(A, _of_error(B), C, _of_error(b[:1].reshape(1, 1)))
+
+
+def _of_error(columns: Matrix) -> Matrix:
+    """Columns for [r, y] from a column for e = r - y."""
+    return np.hstack([columns, -columns])

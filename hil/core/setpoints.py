@@ -1,0 +1,188 @@
+"""Setpoints r(t) of one axis, from texts such as ``step:0.1@1``. t is seconds since the run began.
+
+====================================  =====================================================================
+``step:SIZE@TIME``                    0, then SIZE from TIME on
+``ladder:LEVEL,LEVEL,...@TIME/HOLD``  0, then each level for HOLD seconds, the last one kept
+``ramp:SIZE@TIME/DURATION``           0, then straight to SIZE within DURATION
+``minimum-jerk:SIZE@TIME/DURATION``   likewise by 10 t^3 - 15 t^4 + 6 t^5 (Flash and Hogan 1985)
+``sine:AMPLITUDE@TIME/PERIOD``        0, then AMPLITUDE sin(2 pi (t - TIME)/PERIOD)
+``csv:FILE``                          columns time_s,setpoint; straight lines between rows, ends kept
+====================================  =====================================================================
+
+Sizes are in the axis' unit. A step in a CSV is two rows at the same time.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from bisect import bisect_right
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hil.core.errors import SetpointError
+
+FORMS = (
+    "step:SIZE@TIME, ladder:LEVEL,LEVEL,...@TIME/HOLD, ramp:SIZE@TIME/DURATION, "
+    "minimum-jerk:SIZE@TIME/DURATION, sine:AMPLITUDE@TIME/PERIOD, csv:FILE"
+)
+SHORTEST_SPAN_S = 0.001
+"""Of a hold, a ramp or a sine: the shortest period that a loop may have."""
+_NUMBER = r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|inf)"
+_FORM = re.compile(
+    rf"(?P<kind>step|ladder|ramp|minimum-jerk|sine):(?P<values>{_NUMBER}(?:,{_NUMBER})*)"
+    rf"@(?P<start>{_NUMBER})(?:/(?P<span>{_NUMBER}))?"
+)
+
+
+Function = Callable[[float], float]
+
+
+class Setpoint(NamedTuple):
+    """A setpoint and what it reaches, in the axis' unit."""
+
+    text: str
+    at: Function
+    """r at t seconds."""
+    lowest: float
+    highest: float
+
+
+def csv_file(text: str) -> str | None:
+    """The file that a ``csv:FILE`` setpoint reads, else None."""
+    return text.removeprefix("csv:") if text.startswith("csv:") else None
+
+
+def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
+    """Parse ``text``; ``csv_text`` is what the file that ``csv:FILE`` names holds. Raises SetpointError."""
+    file = csv_file(text)
+    if file is not None:
+        return _from_csv(text, csv_text, file)
+    match = _FORM.fullmatch(text)
+    if match is None:
+        raise SetpointError(f"setpoint {text!r} is none of: {FORMS}")
+    for number in re.findall(_NUMBER, text.partition(":")[2]):
+        if not math.isfinite(float(number)):
+            raise SetpointError(f"setpoint {text!r}: {number} is not finite")
+    kind = match["kind"]
+    values = [float(value) for value in match["values"].split(",")]
+    start = float(match["start"])
+    if start < 0:
+        raise SetpointError(f"setpoint {text!r}: TIME {start:g} s must be 0 or more, from the run's begin")
+    if kind != "ladder" and len(values) != 1:
+        raise SetpointError(f"setpoint {text!r}: {kind} takes one size, not {len(values)}")
+    if (match["span"] is None) != (kind == "step"):
+        lack = "takes no /..." if kind == "step" else "lacks its /SECONDS"
+        raise SetpointError(f"setpoint {text!r}: {kind} {lack}; forms: {FORMS}")
+    span = float(match["span"] or 1.0)
+    if span < SHORTEST_SPAN_S:
+        raise SetpointError(f"setpoint {text!r}: /{span:g} s must be {SHORTEST_SPAN_S} s or more")
+    at = _FUNCTIONS[kind](values, start, span)
+    lowest, highest = min(0.0, *values), max(0.0, *values)
+    if kind == "sine":
+        lowest, highest = -abs(values[0]), abs(values[0])
+    return Setpoint(text, at, lowest, highest)
+
+
+def check_within(setpoint: Setpoint, axis: str, min_y: float, max_y: float, unit: str) -> None:
+    """Refuse a setpoint that leaves the axis' range. Raises SetpointError."""
+    for value, limit, breach in (
+        (setpoint.lowest, min_y, setpoint.lowest < min_y),
+        (setpoint.highest, max_y, setpoint.highest > max_y),
+    ):
+        if breach:
+            key = "min_y" if limit == min_y else "max_y"
+            raise SetpointError(
+                f"{axis}: setpoint {setpoint.text!r} reaches {value:g} {unit}, beyond {limit:g} {unit} "
+                f"(rig: axes.{axis}.{key})"
+            )
+
+
+def _step(values: list[float], start: float, _span: float) -> Function:
+    size = values[0]
+    return lambda t: size if t >= start else 0.0
+
+
+def _ladder(values: list[float], start: float, hold: float) -> Function:
+    last = len(values) - 1
+
+    def at(t: float) -> float:
+        # A billionth of a hold, so that a level begins in time where the quotient falls just short of whole.
+        return values[int(min((t - start) / hold + 1e-9, last))] if t >= start else 0.0
+
+    return at
+
+
+def _blend(
+    profile: Callable[[float], float],
+) -> Callable[[list[float], float, float], Function]:
+    def build(values: list[float], start: float, duration: float) -> Function:
+        size = values[0]
+        return lambda t: size * profile(min(max((t - start) / duration, 0.0), 1.0))
+
+    return build
+
+
+def _sine(values: list[float], start: float, period: float) -> Function:
+    amplitude = values[0]
+    return lambda t: amplitude * math.sin(math.tau * (t - start) / period) if t >= start else 0.0
+
+
+_FUNCTIONS: dict[str, Callable[[list[float], float, float], Function]] = {
+    "step": _step,
+    "ladder": _ladder,
+    "ramp": _blend(lambda x: x),
+    "minimum-jerk": _blend(lambda x: x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)),
+    "sine": _sine,
+}
+
+
+def _from_csv(text: str, content: str, file: str) -> Setpoint:
+    times: list[float] = []
+    values: list[float] = []
+    for row_number, row in enumerate(_rows(content, file), start=1):
+        if not row or row[0].lstrip().startswith("#"):
+            continue
+        if not times and not any(map(_is_number, row)):
+            continue  # a header
+        try:
+            time_s, value = (float(cell) for cell in row)
+        except ValueError:
+            raise SetpointError(
+                f"{file}: row {row_number}: {','.join(row)!r} is not time_s,setpoint"
+            ) from None
+        if not (math.isfinite(time_s) and math.isfinite(value)):
+            raise SetpointError(f"{file}: row {row_number}: {','.join(row)!r} is not finite")
+        if times and time_s < times[-1]:
+            raise SetpointError(f"{file}: row {row_number}: time {time_s} s goes back from {times[-1]} s")
+        times.append(time_s)
+        values.append(value)
+    if not times:
+        raise SetpointError(f"{file}: no rows of time_s,setpoint")
+
+    def at(t: float) -> float:
+        after = bisect_right(times, t)
+        if after == 0:
+            return values[0]
+        if after == len(times):
+            return values[-1]
+        share = (t - times[after - 1]) / (times[after] - times[after - 1])
+        return values[after - 1] + share * (values[after] - values[after - 1])
+
+    return Setpoint(text, at, min(values), max(values))
+
+
+def _rows(content: str, file: str) -> list[list[str]]:
+    try:
+        return list(csv.reader(content.splitlines()))
+    except csv.Error as error:
+        raise SetpointError(f"{file}: not a CSV file: {error}") from None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

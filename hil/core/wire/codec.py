@@ -1,0 +1,224 @@
+"""Codec of every frame in ``arm.dbc``: identifiers, lengths, signals in physical units.
+
+Written by ``python -m hil.core.wire.compile_dbc``; do not edit. Out-of-range values raise struct.error.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+from typing import NamedTuple
+
+NMT = 0x000
+NMT_LENGTH = 2
+_NMT = Struct("<BB")
+
+
+class Nmt(NamedTuple):
+    """Signals of NMT."""
+
+    command: int
+    node_id: int
+
+
+def decode_nmt(data: bytes) -> Nmt:
+    """Signals of NMT, from a frame of its full length."""
+    command, node_id = _NMT.unpack(data)
+    return Nmt(command, node_id)
+
+
+def encode_nmt(command: int, node_id: int) -> bytes:
+    """Data of a NMT frame."""
+    return _NMT.pack(command, node_id)
+
+
+SYNC = 0x080
+SYNC_LENGTH = 0
+
+EMCY_ADC = 0x090
+EMCY_ADC_LENGTH = 8
+_EMCY_ADC = Struct("<HBBI")
+
+
+class EmcyAdc(NamedTuple):
+    """Signals of EMCY_ADC."""
+
+    error_code: int
+    error_register: int
+    vendor_code: int
+    vendor_value: int
+
+
+def decode_emcy_adc(data: bytes) -> EmcyAdc:
+    """Signals of EMCY_ADC, from a frame of its full length."""
+    error_code, error_register, vendor_code, vendor_value = _EMCY_ADC.unpack(data)
+    return EmcyAdc(error_code, error_register, vendor_code, vendor_value)
+
+
+def encode_emcy_adc(error_code: int, error_register: int, vendor_code: int, vendor_value: int) -> bytes:
+    """Data of a EMCY_ADC frame."""
+    return _EMCY_ADC.pack(error_code, error_register, vendor_code, vendor_value)
+
+
+EMCY_DAC = 0x0A0
+EMCY_DAC_LENGTH = 8
+_EMCY_DAC = Struct("<HBBI")
+
+
+class EmcyDac(NamedTuple):
+    """Signals of EMCY_DAC."""
+
+    error_code: int
+    error_register: int
+    vendor_code: int
+    vendor_value: int
+
+
+def decode_emcy_dac(data: bytes) -> EmcyDac:
+    """Signals of EMCY_DAC, from a frame of its full length."""
+    error_code, error_register, vendor_code, vendor_value = _EMCY_DAC.unpack(data)
+    return EmcyDac(error_code, error_register, vendor_code, vendor_value)
+
+
+def encode_emcy_dac(error_code: int, error_register: int, vendor_code: int, vendor_value: int) -> bytes:
+    """Data of a EMCY_DAC frame."""
+    return _EMCY_DAC.pack(error_code, error_register, vendor_code, vendor_value)
+
+
+TPDO1_ADC = 0x190
+TPDO1_ADC_LENGTH = 8
+_TPDO1_ADC = Struct("<hhhBB")
+
+
+class Tpdo1Adc(NamedTuple):
+    """Signals of TPDO1_ADC in V."""
+
+    potentiometer1: float
+    potentiometer2: float
+    potentiometer3: float
+    counter: int
+    crc8: int
+
+
+def decode_tpdo1_adc(data: bytes) -> Tpdo1Adc:
+    """Signals of TPDO1_ADC, from a frame of its full length."""
+    potentiometer1, potentiometer2, potentiometer3, counter, crc8 = _TPDO1_ADC.unpack(data)
+    return Tpdo1Adc(
+        potentiometer1 * 0.00030517578125,
+        potentiometer2 * 0.00030517578125,
+        potentiometer3 * 0.00030517578125,
+        counter,
+        crc8,
+    )
+
+
+def encode_tpdo1_adc(
+    potentiometer1: float, potentiometer2: float, potentiometer3: float, counter: int, crc8: int
+) -> bytes:
+    """Data of a TPDO1_ADC frame."""
+    return _TPDO1_ADC.pack(
+        round(potentiometer1 / 0.00030517578125),
+        round(potentiometer2 / 0.00030517578125),
+        round(potentiometer3 / 0.00030517578125),
+        counter,
+        crc8,
+    )
+
+
+RPDO1_DAC = 0x220
+RPDO1_DAC_LENGTH = 8
+_RPDO1_DAC = Struct("<hhhBB")
+
+
+class Rpdo1Dac(NamedTuple):
+    """Signals of RPDO1_DAC in V."""
+
+    valve1: float
+    valve2: float
+    valve3: float
+    counter: int
+    crc8: int
+
+
+def decode_rpdo1_dac(data: bytes) -> Rpdo1Dac:
+    """Signals of RPDO1_DAC, from a frame of its full length."""
+    valve1, valve2, valve3, counter, crc8 = _RPDO1_DAC.unpack(data)
+    return Rpdo1Dac(
+        valve1 * 0.00030517578125, valve2 * 0.00030517578125, valve3 * 0.00030517578125, counter, crc8
+    )
+
+
+def encode_rpdo1_dac(valve1: float, valve2: float, valve3: float, counter: int, crc8: int) -> bytes:
+    """Data of a RPDO1_DAC frame."""
+    return _RPDO1_DAC.pack(
+        round(valve1 / 0.00030517578125),
+        round(valve2 / 0.00030517578125),
+        round(valve3 / 0.00030517578125),
+        counter,
+        crc8,
+    )
+
+
+HEARTBEAT_GATEWAY = 0x701
+HEARTBEAT_GATEWAY_LENGTH = 1
+_HEARTBEAT_GATEWAY = Struct("<B")
+
+
+class HeartbeatGateway(NamedTuple):
+    """Signals of HEARTBEAT_GATEWAY."""
+
+    state: int
+
+
+def decode_heartbeat_gateway(data: bytes) -> HeartbeatGateway:
+    """Signals of HEARTBEAT_GATEWAY, from a frame of its full length."""
+    (state,) = _HEARTBEAT_GATEWAY.unpack(data)
+    return HeartbeatGateway(state)
+
+
+def encode_heartbeat_gateway(state: int) -> bytes:
+    """Data of a HEARTBEAT_GATEWAY frame."""
+    return _HEARTBEAT_GATEWAY.pack(state)
+
+
+HEARTBEAT_ADC = 0x710
+HEARTBEAT_ADC_LENGTH = 1
+_HEARTBEAT_ADC = Struct("<B")
+
+
+class HeartbeatAdc(NamedTuple):
+    """Signals of HEARTBEAT_ADC."""
+
+    state: int
+
+
+def decode_heartbeat_adc(data: bytes) -> HeartbeatAdc:
+    """Signals of HEARTBEAT_ADC, from a frame of its full length."""
+    (state,) = _HEARTBEAT_ADC.unpack(data)
+    return HeartbeatAdc(state)
+
+
+def encode_heartbeat_adc(state: int) -> bytes:
+    """Data of a HEARTBEAT_ADC frame."""
+    return _HEARTBEAT_ADC.pack(state)
+
+
+HEARTBEAT_DAC = 0x720
+HEARTBEAT_DAC_LENGTH = 1
+_HEARTBEAT_DAC = Struct("<B")
+
+
+class HeartbeatDac(NamedTuple):
+    """Signals of HEARTBEAT_DAC."""
+
+    state: int
+
+
+def decode_heartbeat_dac(data: bytes) -> HeartbeatDac:
+    """Signals of HEARTBEAT_DAC, from a frame of its full length."""
+    (state,) = _HEARTBEAT_DAC.unpack(data)
+    return HeartbeatDac(state)
+
+
+def encode_heartbeat_dac(state: int) -> bytes:
+    """Data of a HEARTBEAT_DAC frame."""
+    return _HEARTBEAT_DAC.pack(state)

@@ -1,0 +1,1 @@
+"""What depends on this machine: preflight checks, real-time rights, virtual CAN, child processes."""

@@ -1,0 +1,159 @@
+"""Everything a run is made of, as texts and as objects: rig, controllers, setpoints.
+
+The texts go into the recording; a replay builds the same gateway from them. Reads files; knows no bus.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.core.control_law import ControlLaw, check_law_runs
+from hil.core.controller_file import ControllerFile, check_controller_fits, read_controller
+from hil.core.errors import DocumentError, SetpointError
+from hil.core.gateway import Gateway
+from hil.core.rig import Rig, read_rig
+from hil.core.setpoints import Setpoint, check_within, csv_file, parse_setpoint
+from hil.host.text_file import read_text
+
+PACKAGE = Path(__file__).parents[1]
+SHIPPED = PACKAGE / "shipped"
+SHIPPED_CONTROLLERS = SHIPPED / "controllers"
+RIG_NAME = "rig.toml"
+DBC_NAME = "arm.dbc"
+
+
+@dataclass(frozen=True)
+class RunSetup:
+    """A checked set of rig, controllers and setpoints. ``texts`` holds every document by its name."""
+
+    rig: Rig
+    controllers: Mapping[str, ControllerFile]
+    setpoints: Mapping[str, Setpoint]
+    texts: Mapping[str, str]
+    """``rig.toml``, ``arm.dbc``, ``controllers/<axis>.json``, ``setpoints/<axis>.csv``."""
+
+    def gateway(self, first_deadline_ns: int) -> Gateway:
+        """A fresh gateway core in state offline."""
+        laws = {name: ControlLaw(c.law, c.sample_time_s) for name, c in self.controllers.items()}
+        return Gateway(self.rig, laws, self.setpoints, first_deadline_ns)
+
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of every document, by its name."""
+        return {name: hashlib.sha256(text.encode()).hexdigest() for name, text in self.texts.items()}
+
+    def fingerprint(self) -> str:
+        """SHA-256 over every text and setpoint: two runs with the same one had the same configuration."""
+        digest = hashlib.sha256()
+        for name, text in sorted(self.texts.items()):
+            digest.update(f"{name}\0{text}\0".encode())
+        for name, setpoint in self.setpoints.items():
+            digest.update(f"{name}\0{setpoint.text}\0".encode())
+        return digest.hexdigest()
+
+
+def load_setup(
+    rig_path: Path | None,
+    controllers: Mapping[str, str],
+    setpoints: Mapping[str, str],
+    further_texts: Mapping[str, str] | None = None,
+    origins: Mapping[str, str] | None = None,
+) -> RunSetup:
+    """Read a rig file (the shipped one without a path) and what it names, with overrides by axis.
+
+    ``controllers`` and ``setpoints`` replace those of the rig file; file names in the rig file are relative
+    to it, in overrides to the working directory. ``further_texts`` are kept with the run. ``origins`` says,
+    for errors, where an override is from (``setpoints.vertical``) if not from an option.
+
+    Raises DocumentError or SetpointError.
+    """
+    source = rig_path or SHIPPED / RIG_NAME
+    base = source.parent
+    texts = {RIG_NAME: read_text(source), DBC_NAME: read_text(PACKAGE / "core" / "wire" / DBC_NAME)}
+    texts |= further_texts or {}
+    sources = {RIG_NAME: str(rig_path or RIG_NAME)}
+    rig = read_rig(texts[RIG_NAME], sources[RIG_NAME])
+    origins = origins or {}
+    for option, given in (("--controller", controllers), ("--setpoint", setpoints)):
+        for name in given:
+            if name not in rig.axes:
+                raise DocumentError(f"{option} {name}=…: no such axis; the rig has {', '.join(rig.axes)}")
+    chosen: dict[str, str] = {}
+    for name, axis in rig.axes.items():
+        of_axis = f"{sources[RIG_NAME]}: axes.{name}"
+        if name in controllers:
+            origin = origins.get(f"controllers.{name}", f"--controller {name}")
+            path = _controller_path(controllers[name], Path(), origin)
+        else:
+            path = _controller_path(axis.controller, base, f"{of_axis}.controller")
+        document = f"controllers/{name}.json"
+        texts[document], sources[document] = read_text(path), str(path)
+        chosen[name] = setpoints.get(name, axis.setpoint)
+        sources[f"setpoints.{name}"] = (
+            origins.get(f"setpoints.{name}", f"--setpoint {name}")
+            if name in setpoints
+            else f"{of_axis}.setpoint"
+        )
+        file = csv_file(chosen[name])
+        if file is not None:
+            path = Path(file) if name in setpoints else base / file
+            texts[f"setpoints/{name}.csv"] = read_text(path)
+    return setup_from_texts(texts, chosen, sources)
+
+
+def setup_from_texts(
+    texts: Mapping[str, str], setpoints: Mapping[str, str], sources: Mapping[str, str] | None = None
+) -> RunSetup:
+    """Build and cross-check a setup from its documents, as a recording holds them.
+
+    ``sources`` are the files that the documents were read from, for errors, and where the setpoints
+    (``setpoints.vertical``) are from; without one its name is used.
+    Raises DocumentError or SetpointError.
+    """
+    sources = sources or {}
+    rig = read_rig(_part(texts, RIG_NAME), sources.get(RIG_NAME, RIG_NAME))
+    files: dict[str, ControllerFile] = {}
+    parsed: dict[str, Setpoint] = {}
+    for name, axis in rig.axes.items():
+        document = f"controllers/{name}.json"
+        source = f"{name}: {sources.get(document, document)}"
+        files[name] = controller = read_controller(_part(texts, document), source)
+        check_controller_fits(controller, source, rig.loop.period_s, axis.unit)
+        check_law_runs(controller.law, controller.sample_time_s, source)
+        if name not in setpoints:
+            raise SetpointError(f"no setpoint for axis {name}")
+        is_table = csv_file(setpoints[name]) is not None
+        table = _part(texts, f"setpoints/{name}.csv") if is_table else ""
+        try:
+            parsed[name] = parse_setpoint(setpoints[name], table)
+            check_within(parsed[name], name, axis.min_y, axis.max_y, axis.unit)
+        except SetpointError as error:
+            origin = sources.get(f"setpoints.{name}", f"setpoints.{name}")
+            raise SetpointError(f"{origin}: {error}") from None
+    return RunSetup(rig, files, parsed, dict(texts))
+
+
+def shipped_controllers() -> list[str]:
+    """Names of the controllers in the package."""
+    return sorted(path.stem for path in SHIPPED_CONTROLLERS.glob("*.json"))
+
+
+def _controller_path(name: str, base: Path, origin: str) -> Path:
+    """A shipped name, or a file relative to ``base``; ``origin`` is where it is named, for errors."""
+    if name in shipped_controllers():
+        return SHIPPED_CONTROLLERS / f"{name}.json"
+    path = base / name
+    if not path.exists():
+        raise DocumentError(
+            f"{origin}: controller {name!r}: no file {path}, and none of the shipped "
+            f"{', '.join(shipped_controllers())}"
+        )
+    return path
+
+
+def _part(texts: Mapping[str, str], name: str) -> str:
+    if name not in texts:
+        raise DocumentError(f"{name} is missing; it is needed to build the gateway")
+    return texts[name]

@@ -1,0 +1,109 @@
+"""Charts: what is drawn can be read back to the values, on every scale."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from support.drawn_curves import drawn_curves
+
+from design.output.charts import Axis, Band, Curve, Limit, Panel, Style, draw
+
+LINE = Style("#000")
+Values = NDArray[np.float64]
+
+
+def panel(x: Values, y: Values, across: Axis = Axis("x"), up: Axis = Axis("y")) -> Panel:  # noqa: B008
+    return Panel(across, up, (Curve("c", x, y, LINE),))
+
+
+@given(
+    st.floats(-1e6, 1e6),
+    st.floats(1e-6, 1e6),
+    st.booleans(),
+    st.booleans(),
+)
+def test_curves_read_back(low: float, span: float, x_is_logarithmic: bool, y_is_logarithmic: bool) -> None:
+    """Within half the tenth of a pixel that coordinates are rounded to."""
+    x = np.linspace(1.0, 100.0, 50)
+    y = np.linspace(low, low + span, 50)
+    if y_is_logarithmic:
+        y = np.exp(np.linspace(0.0, min(span, 50.0), 50))
+    across, up = Axis("x", logarithmic=x_is_logarithmic), Axis("y", logarithmic=y_is_logarithmic)
+    (curve,) = drawn_curves(draw([panel(x, y, across, up)], "name"))[0]["c"]
+    if y_is_logarithmic:
+        np.testing.assert_allclose(np.log(curve[:, 1]), np.log(y), atol=4e-4 * max(np.log(y[-1]), 0.3))
+    else:
+        np.testing.assert_allclose(curve[:, 1], y, atol=4e-4 * span)
+    if x_is_logarithmic:
+        np.testing.assert_allclose(np.log(curve[:, 0]), np.log(x), atol=1e-3)
+    else:
+        np.testing.assert_allclose(curve[:, 0], x, atol=0.02)
+
+
+def test_gaps_where_values_are_not_finite() -> None:
+    y = np.array([1.0, 2.0, np.nan, 3.0, np.inf, 4.0, 5.0])
+    runs = drawn_curves(draw([panel(np.arange(7.0), y)], "gaps"))[0]["c"]
+    assert [len(run) for run in runs] == [2, 1, 2]
+
+
+def test_held_curves_are_stairs() -> None:
+    stairs = Panel(Axis("x"), Axis("y"), (Curve("c", np.arange(3.0), np.array([1.0, 3.0, 2.0]), LINE, True),))
+    (run,) = drawn_curves(draw([stairs], "held"))[0]["c"]
+    np.testing.assert_allclose(run, [[0.0, 1.0], [1.0, 1.0], [1.0, 3.0], [2.0, 3.0], [2.0, 2.0]], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("axis", "labels"),
+    [
+        (Axis("a", low=0.0, high=1.0), ["0", "0.2", "0.4", "0.6", "0.8", "1"]),
+        (Axis("a", low=-360.0, high=0.0, tick=90.0), ["−360", "−270", "−180", "−90", "0"]),
+        (Axis("a", logarithmic=True, low=0.01, high=100.0), ["0.01", "0.1", "1", "10", "100"]),
+        (Axis("a", logarithmic=True, low=1e-6, high=1e-4), ["10⁻⁶", "10⁻⁵", "10⁻⁴"]),
+        (Axis("a", logarithmic=True, low=1.0, high=10.0), ["1", "2", "5", "10"]),
+    ],
+)
+def test_ticks(axis: Axis, labels: list[str]) -> None:
+    x = np.array([1.0, 2.0])
+    svg = draw([Panel(axis, Axis("y"), (Curve("c", x, x, LINE),))], "ticks")
+    texts = [element.text for element in ET.fromstring(svg).iter() if element.tag.endswith("text")]
+    shown = [text for text in texts if text in labels]
+    assert shown[: len(labels)] == labels
+
+
+def test_constant_and_empty_curves_have_a_scale() -> None:
+    for y in (np.zeros(3), np.full(3, np.nan), np.full(3, 7.0)):
+        for logarithmic in (False, True):
+            ET.fromstring(
+                draw([panel(np.arange(1.0, 4.0), y, up=Axis("y", logarithmic=logarithmic))], "flat")
+            )
+
+
+def test_text_is_escaped_and_labels_are_in_one_legend() -> None:
+    x = np.array([0.0, 1.0])
+    nasty = Curve("<b>&", x, x, LINE)
+    two = [
+        Panel(Axis("<x>"), Axis("y"), (nasty,), (Limit(0.5, "<limit>"),), (Band(0.2, 0.4, "<band>"),)),
+        Panel(Axis("<x>"), Axis("y"), (nasty,)),
+    ]
+    root = ET.fromstring(draw(two, "a <name>"))
+    texts = [element.text for element in root.iter() if element.tag.endswith("text")]
+    assert texts.count("<b>&") == 1
+    assert {"<limit>", "<band>", "<x>"} <= set(texts)
+    assert root.get("aria-label") == "a <name>"
+
+
+def test_ids_differ_between_figures_of_one_page() -> None:
+    x = np.array([0.0, 1.0])
+    first, second = draw([panel(x, x), panel(x, x)], "Fig 1"), draw([panel(x, x)], "Fig 2")
+    ids = [
+        element.get("id")
+        for svg in (first, second)
+        for element in ET.fromstring(svg).iter()
+        if element.get("id")
+    ]
+    assert len(ids) == len(set(ids)) == 3

@@ -1,0 +1,158 @@
+"""The whole procedure: what is compared, against which plants, and what is told when something fails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.designs import HEAVIER, REVERSED, continuous_design, sampled_design
+
+from design.errors import DesignError, InfeasibleError
+from design.models.plant import Plant, Sampling, paper_plant
+from design.output.advice import hints, warnings
+from design.robustness import margins
+from design.search.searcher import Progress
+from design.synthesis.design_file import read_design
+from design.synthesis.procedure import CONTROLLER_STAGE, WEIGHT_STAGE, carry_out
+
+SHORT = "[search]\nweight_evaluations = 300\ncontroller_evaluations = 300\n"
+
+
+def test_designed_in_the_sampled_loop_the_margin_is_the_sampled_loops() -> None:
+    design = sampled_design()
+    G = paper_plant().transfer_function(Sampling(0.0112, 1))
+    margin = margins.stability_margin(G, design.designed.controller.feedback, design.weight.weight)[0]
+    assert design.eps == pytest.approx(margin, abs=1e-12)
+    assert design.eps == pytest.approx(design.synthesis.eps, abs=1e-9)
+    assert design.eps < design.problem.eps_opt == pytest.approx(design.weight.eps_opt, abs=1e-9)
+
+
+def test_designed_in_the_continuous_loop_both_margins_are_told() -> None:
+    design = continuous_design()
+    measures = design.measures[0]
+    assert design.eps == measures.eps_continuous == pytest.approx(design.synthesis.eps, abs=1e-9)
+    assert measures.eps_sampled < measures.eps_continuous - 0.02, "hold and delay cost margin"
+
+
+def test_no_structure_beats_the_bound_and_pid_beats_pi() -> None:
+    for design in (sampled_design(), continuous_design()):
+        eps = {c.name: design.problem.eps(m) for c, m in zip(design.candidates, design.measures, strict=True)}
+        assert max(eps.values()) <= design.problem.eps_opt
+        assert eps["PID (designed)"] > eps["PI"]
+        assert eps["HLS"] >= design.problem.eps_opt / 1.1 - 1e-9
+        assert eps["ZN"] < eps["TLC"] < 0.1
+
+
+def test_worst_case_over_plants_raises_the_smallest_margin() -> None:
+    text = (
+        "[further_plants]\nworst_case = {}\n"
+        "[specifications]\nbandwidth_rad_s = 4.0\ngain_db = {{ limit = 20.0, up_to_rad_s = 0.4 }}\n"
+    )
+    smallest = {}
+    for worst_case in ("false", "true"):
+        design = carry_out(read_design(text.format(worst_case), "d.toml"), paper_plant(), [HEAVIER])
+        (guarantee,) = design.guarantees
+        smallest[worst_case] = min(guarantee.eps, guarantee.eps_there)
+        if worst_case == "true":
+            assert design.synthesis.eps == pytest.approx(smallest["true"], abs=1e-9)
+    assert smallest["true"] > smallest["false"]
+
+
+def test_guarantee_follows_from_the_gap() -> None:
+    """Vinnicombe: arcsin of the margin falls at most by arcsin of the gap."""
+    heavier, reversed_plant = sampled_design().guarantees
+    assert np.arcsin(heavier.eps_there) >= np.arcsin(heavier.eps) - np.arcsin(heavier.gap) - 1e-9
+    assert heavier.guaranteed
+    assert not reversed_plant.guaranteed
+
+
+def test_must_meet_specifications_binds_the_designed_loop() -> None:
+    """A crossover of GK of 3.5 rad/s is more than the margin alone would choose."""
+    asked = (
+        "[specifications]\nbandwidth_rad_s = 3.5\novershoot = 0.2\n"
+        "[controller]\nmust_meet_specifications = {}\n"
+    )
+    free, bound = (
+        carry_out(read_design(asked.format(value), "d.toml"), paper_plant()) for value in ("false", "true")
+    )
+    assert not all(r.met for r in free.designed_readings)
+    assert all(r.met for r in bound.designed_readings)
+    assert bound.eps < free.eps
+
+
+def test_specifications_that_the_structure_cannot_meet_are_infeasible() -> None:
+    text = SHORT + '[controller]\nstructure = "p"\nmust_meet_specifications = true\n'
+    with pytest.raises(InfeasibleError, match=r"(?s)no controller in its box .* error .* NOT met"):
+        carry_out(read_design(text, "d.toml"), paper_plant())
+
+
+def test_what_cannot_be_tuned_is_noted() -> None:
+    """A first-order plant in a continuous loop oscillates at no gain."""
+    plant = Plant(
+        format="hil-plant", version=1, name="p", input_unit="V", output_unit="m", num=[1.0], den=[1.0, 1.0]
+    )
+    design = carry_out(read_design('[loop]\ndesign = "continuous"\n' + SHORT, "d.toml"), plant)
+    assert [c.name for c in design.candidates] == ["PID (designed)", "HLS", "PI"]
+    (note,) = design.notes
+    assert note.startswith("ZN, TLC: the loop has no ultimate cycle")
+
+
+def test_pi_is_compared_only_with_other_structures() -> None:
+    design = carry_out(read_design(SHORT + '[controller]\nstructure = "pi"\n', "d.toml"), paper_plant())
+    assert [c.name for c in design.candidates] == ["PI (designed)", "HLS", "ZN", "TLC"]
+
+
+def test_a_continuous_design_that_the_rig_could_not_run_is_warned_of() -> None:
+    for delay, told in ((1, ""), (20, "ε is 0.2"), (60, "ε is unstable")):
+        text = f'[loop]\ndesign = "continuous"\ndelay_samples = {min(delay, 20)}\n'
+        text += "period_s = 0.0336\n" if delay == 60 else ""
+        told_of = warnings(carry_out(read_design(text, "d.toml"), paper_plant()))
+        found = [warning for warning in told_of if "in the rig's loop" in warning]
+        assert len(found) == (1 if told else 0), delay
+        assert told in "".join(found)
+
+
+def test_a_structure_without_an_integrator_is_named_where_the_weight_has_one() -> None:
+    for structure, named in (("p", True), ("pi", False)):
+        design = carry_out(
+            read_design(f'[controller]\nstructure = "{structure}"\n' + SHORT, "d.toml"), paper_plant()
+        )
+        assert any("where the weight asks for" in warning for warning in warnings(design)) == named
+
+
+def test_a_search_that_stops_too_early_is_told() -> None:
+    few = read_design("[search]\ncontroller_evaluations = 2500\n", "d.toml")
+    (hint,) = hints(carry_out(few, paper_plant()))
+    assert hint.startswith("the search of the controller was still gaining when its 2500 evaluations")
+    assert hints(continuous_design()) == []
+
+
+def test_plants_that_move_opposite_ways_are_named() -> None:
+    text = SHORT + "[specifications]\novershoot = 0.5\n[further_plants]\nworst_case = true\n"
+    with pytest.raises(DesignError, match="of these plants reversed moves against its input"):
+        carry_out(read_design(text, "d.toml"), paper_plant(), [REVERSED])
+
+
+def test_progress_of_both_stages() -> None:
+    seen: dict[str, list[tuple[Progress, int]]] = {}
+    carry_out(
+        read_design(SHORT, "d.toml"),
+        paper_plant(),
+        on_progress=lambda stage, progress, total: seen.setdefault(stage, []).append((progress, total)),
+    )
+    assert list(seen) == [WEIGHT_STAGE, CONTROLLER_STAGE]
+    for steps in seen.values():
+        assert [progress.generation for progress, _ in steps] == list(range(1, len(steps) + 1))
+        best = [progress.best_fitness for progress, _ in steps]
+        assert best == sorted(best)
+        assert all(progress.evaluations <= total == 300 for progress, total in steps)
+
+
+def test_parameters_at_a_wall_of_their_box_are_told() -> None:
+    assert hints(continuous_design()) == []
+    narrow = read_design(
+        "[search]\nweight_evaluations = 300\n[controller.box]\nkp = { low = 1.0, high = 2.0 }\n",
+        "design.toml",
+    )
+    told = hints(carry_out(narrow, paper_plant()))
+    assert told[0].startswith("kp")
+    assert "of the controller: at a wall of the box" in told[0]

@@ -1,0 +1,224 @@
+"""Controller files: the shipped ones load; what does not fit is refused by file, key and limit."""
+
+from __future__ import annotations
+
+import copy
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.core.controller_file import (
+    ControllerFile,
+    Pid,
+    StateSpace,
+    TransferFunction,
+    check_controller_fits,
+    read_controller,
+)
+from hil.core.documents import to_json
+from hil.core.errors import DocumentError
+from hil.shells.run_setup import SHIPPED_CONTROLLERS, shipped_controllers
+
+PID: dict[str, Any] = {
+    "format": "hil-controller",
+    "version": 1,
+    "name": "mine",
+    "description": "a PID",
+    "sample_time_s": 0.0112,
+    "input_unit": "m",
+    "output_unit": "V",
+    "law": {"kind": "pid", "kp": 11.0, "ki": 5.6, "kd": 0.3, "tau_d": 0.02},
+    "origin": {"method": "by hand", "margins": [0.5, {"gm_db": 12.0}]},
+}
+
+
+def with_law(**law: Any) -> dict[str, Any]:
+    return PID | {"law": law}
+
+
+def refusal(plain: dict[str, Any]) -> str:
+    with pytest.raises(DocumentError) as caught:
+        read_controller(json.dumps(plain), "mine.json")
+    return str(caught.value)
+
+
+class TestShipped:
+    def test_the_papers_four_are_among_them(self) -> None:
+        assert {"hls", "ppid", "tlc", "zn"} <= set(shipped_controllers())
+
+    @pytest.mark.parametrize("name", shipped_controllers())
+    def test_they_load_and_fit_the_papers_loop(self, name: str) -> None:
+        controller = read_controller((SHIPPED_CONTROLLERS / f"{name}.json").read_text(), name)
+        assert controller.name == name
+        check_controller_fits(controller, name, 0.0112, controller.input_unit)
+        assert controller.origin
+
+    def test_ppid_is_eq_20(self) -> None:
+        law = read_controller((SHIPPED_CONTROLLERS / "ppid.json").read_text(), "ppid").law
+        assert law == Pid(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162)
+
+
+def test_a_pid_is_read_with_its_defaults() -> None:
+    controller = read_controller(json.dumps(PID), "mine.json")
+    assert controller.law == Pid(kp=11.0, ki=5.6, kd=0.3, tau_d=0.02, b=1.0, c=1.0)
+    assert controller.origin == PID["origin"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"format": "hil-plant"}, "format: 'hil-plant': must be 'hil-controller'"),
+        ({"version": 2}, "version: 2: must be 1"),
+        ({"version": "1"}, "version: '1': expected `int`, got `str`"),
+        ({"input_unit": "mm"}, "input_unit: 'mm': must be 'm' or 'rad'"),
+        ({"output_unit": "mV"}, "output_unit: 'mV': must be 'V'"),
+        ({"sample_time_s": 0}, "sample_time_s: 0: expected `float` > 0.0"),
+        ({"sample_time_s": -0.0112}, "sample_time_s: -0.0112: expected `float` > 0.0"),
+        ({"sample_time": 1}, "object contains unknown field `sample_time`"),
+        ({"law": {"kind": "lqr"}}, "law.kind: 'lqr': must be 'pid' or 'transfer_function' or 'state_space'"),
+        ({"law": {"kp": 1.0}}, "law: object missing required field `kind`"),
+        ({"law": {"kind": "pid", "kp": 1.0}}, "law: object missing required field `ki`"),
+        ({"law": PID["law"] | {"Kp": 1.0}}, "law: object contains unknown field `Kp`"),
+        ({"law": PID["law"] | {"kp": "11"}}, "law.kp: '11': expected `float`, got `str`"),
+        ({"law": PID["law"] | {"tau_d": -0.1}}, "law.tau_d: -0.1: expected `float` >= 0.0"),
+        ({"law": PID["law"] | {"tau_d": 0}}, "law.tau_d: 0 s with kd 0.3 is an unfiltered derivative"),
+        (
+            {"law": {"kind": "transfer_function", "num": [1.0], "den": [1.0, [2.0]]}},
+            "law.den[1]: expected `float`, got `array`",
+        ),
+        (
+            {"law": {"kind": "transfer_function", "num": [1.0, 2.0, 3.0], "den": [1.0, -1.0]}},
+            "law: num has degree 2, den 1: the law would need future errors",
+        ),
+        (
+            {"law": {"kind": "transfer_function", "num": [1.0], "den": [0.0, 1.0]}},
+            "law.den: the leading coefficient must not be 0",
+        ),
+        (
+            {"law": {"kind": "transfer_function", "num": [1.0], "den": []}},
+            "law.den: the leading coefficient must not be 0",
+        ),
+        ({"law": {"kind": "transfer_function", "num": [], "den": [1.0]}}, "law.num: empty"),
+        (
+            {"law": {"kind": "state_space", "A": [[1]], "B": [[1]], "C": [[1]], "D": [[1]], "inputs": "y"}},
+            "law.inputs: 'y': must be 'e' or 'r, y'",
+        ),
+    ],
+)
+def test_what_is_wrong_is_refused_by_file_and_key(changes: dict[str, Any], text: str) -> None:
+    assert refusal(PID | changes) == f"mine.json: {text}"
+
+
+@pytest.mark.parametrize("key", sorted(set(PID) - {"law"}))
+def test_every_key_is_needed(key: str) -> None:
+    plain = {k: v for k, v in PID.items() if k != key}
+    assert refusal(plain) == f"mine.json: object missing required field `{key}`"
+
+
+@pytest.mark.parametrize(("literal", "shown"), [("NaN", "nan"), ("Infinity", "inf"), ("-1e400", "-inf")])
+def test_numbers_that_are_not_finite_are_refused_by_key(literal: str, shown: str) -> None:
+    for place, text in (("law.kp", '"kp": 11.0'), ("sample_time_s", '"sample_time_s": 0.0112')):
+        json_text = json.dumps(PID).replace(text, f"{text.split(':')[0]}: {literal}")
+        with pytest.raises(DocumentError) as caught:
+            read_controller(json_text, "mine.json")
+        assert str(caught.value) == f"mine.json: {place}: {shown} is not a finite number"
+
+
+def test_text_that_is_not_json_is_refused() -> None:
+    with pytest.raises(DocumentError, match=r"^mine\.json: not valid JSON: Expecting ',' delimiter: line 1"):
+        read_controller('{"format": "hil-controller" "version": 1}', "mine.json")
+
+
+SOUND: dict[str, Any] = {
+    "A": [[1.0, 0.0], [0.0, 0.5]],
+    "B": [[1.0], [2.0]],
+    "C": [[1.0, 1.0]],
+    "D": [[0.5]],
+}
+
+
+class TestShapes:
+    def test_matching_ones_are_read(self) -> None:
+        law = read_controller(json.dumps(with_law(kind="state_space", **SOUND)), "x").law
+        assert law == StateSpace(**SOUND)
+
+    def test_two_inputs_have_two_columns(self) -> None:
+        two = SOUND | {"B": [[1.0, -1.0], [2.0, 0.0]], "D": [[0.5, -0.5]], "inputs": "r, y"}
+        assert read_controller(json.dumps(with_law(kind="state_space", **two)), "x").law == StateSpace(**two)
+
+    def test_a_law_without_states_is_read(self) -> None:
+        law = read_controller(
+            json.dumps(with_law(kind="state_space", A=[], B=[], C=[[]], D=[[2.0]])), "x"
+        ).law
+        assert law == StateSpace(A=[], B=[], C=[[]], D=[[2.0]])
+
+    @pytest.mark.parametrize(
+        ("changes", "text"),
+        [
+            ({"A": [[1.0, 0.0]]}, "A: not of shape (1, 1)"),
+            ({"A": [[1.0, 0.0], [0.5]]}, "A: not of shape (2, 2)"),
+            ({"B": [[1.0]]}, "B: not of shape (2, 1)"),
+            ({"B": [[1.0, 2.0], [1.0, 2.0]]}, "B: not of shape (2, 1)"),
+            ({"B": [[1.0], [2.0]], "inputs": "r, y"}, "B: not of shape (2, 2)"),
+            ({"C": [[1.0]]}, "C: not of shape (1, 2)"),
+            ({"C": [[1.0, 1.0], [1.0, 1.0]]}, "C: not of shape (1, 2)"),
+            ({"C": []}, "C: not of shape (1, 2)"),
+            ({"D": []}, "D: not of shape (1, 1)"),
+            ({"D": [[1.0, 2.0]]}, "D: not of shape (1, 1)"),
+        ],
+    )
+    def test_others_are_refused_by_matrix(self, changes: dict[str, Any], text: str) -> None:
+        law = copy.deepcopy(SOUND) | changes
+        assert refusal(with_law(kind="state_space", **law)) == f"mine.json: law.{text}"
+
+
+class TestFit:
+    CONTROLLER = read_controller(json.dumps(PID), "mine.json")
+
+    def test_the_same_sample_time_and_unit_fit(self) -> None:
+        check_controller_fits(self.CONTROLLER, "mine.json", 0.0112, "m")
+        check_controller_fits(self.CONTROLLER, "mine.json", 0.0112 * (1 + 1e-10), "m")
+
+    @pytest.mark.parametrize("period_s", [0.01, 0.0112001, 0.01119999])
+    def test_another_sample_time_is_refused(self, period_s: float) -> None:
+        with pytest.raises(DocumentError) as caught:
+            check_controller_fits(self.CONTROLLER, "mine.json", period_s, "m")
+        assert str(caught.value) == (
+            f"mine.json: sample_time_s: 0.0112 s is not the loop's {period_s} s (rig: loop.period_s); "
+            "design it again for this loop"
+        )
+
+    def test_another_unit_is_refused(self) -> None:
+        with pytest.raises(DocumentError, match=r"^mine\.json: input_unit: m, but the axis is in rad$"):
+            check_controller_fits(self.CONTROLLER, "mine.json", 0.0112, "rad")
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+nonzero = finite.filter(bool)
+polynomials = st.integers(1, 4).flatmap(
+    lambda n: st.builds(
+        TransferFunction,
+        num=st.lists(finite, min_size=1, max_size=n),
+        den=st.tuples(nonzero, st.lists(finite, min_size=n - 1, max_size=n - 1)).map(lambda d: [d[0], *d[1]]),
+    )
+)
+pids = st.builds(Pid, kp=finite, ki=finite, kd=finite, tau_d=st.floats(1e-9, 1e9), b=finite, c=finite)
+
+
+@given(polynomials | pids, st.text(), st.floats(1e-6, 1e3))
+def test_what_design_writes_is_read_back_bit_for_bit(law: Any, name: str, sample_time_s: float) -> None:
+    controller = ControllerFile(
+        format="hil-controller",
+        version=1,
+        name=name,
+        description="",
+        sample_time_s=sample_time_s,
+        input_unit="rad",
+        output_unit="V",
+        law=law,
+        origin={},
+    )
+    assert read_controller(to_json(controller), "x") == controller

@@ -1,0 +1,263 @@
+"""The one way to a valve: magnitude, rate, centre, channels, counter and CRC of every RPDO1 frame."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.gateway_bench import commands_v, rig_text
+
+import hil
+from hil.core.errors import DocumentError
+from hil.core.frames import Frame
+from hil.core.rig import HIGHEST_WIRE_V, VOLTS_PER_COUNT, Valve, read_rig
+from hil.core.valve_commands import ValveCommands
+from hil.core.wire import codec
+from hil.core.wire.crc8 import crc8_j1850
+
+PERIOD_S = 0.0112
+TINY = 1e-9
+
+
+def valve(
+    channel: int = 1,
+    centre_v: float = 5.0,
+    min_v: float = 0.0,
+    max_v: float = 9.9996,
+    max_rate_v_s: float = 400.0,
+) -> Valve:
+    return Valve(channel=channel, centre_v=centre_v, min_v=min_v, max_v=max_v, max_rate_v_s=max_rate_v_s)
+
+
+def one(**limits: float) -> ValveCommands:
+    return ValveCommands([valve(**limits)], PERIOD_S, True)  # type: ignore[arg-type]
+
+
+def is_allowed(limits: Valve) -> bool:
+    """What a rig file may hold: the centre a count away from limits that a frame can carry."""
+    lowest, highest = limits.min_v + VOLTS_PER_COUNT, limits.max_v - VOLTS_PER_COUNT
+    return lowest <= limits.centre_v <= highest and limits.max_v <= HIGHEST_WIRE_V
+
+
+class TestMagnitude:
+    def test_inside_the_limits_the_offset_passes_unchanged(self) -> None:
+        commands = one()
+        assert commands.command(0, 1.2345) == 1.2345
+        assert commands.volts == [6.2345]
+        assert commands_v(commands.frame())[0] == pytest.approx(6.2345, abs=VOLTS_PER_COUNT / 2)
+
+    @pytest.mark.parametrize(
+        ("offset", "allowed"),
+        [(2.0, 2.0), (2.5, 2.5), (2.5001, 2.5), (1e300, 2.5), (-1.0, -1.0), (-1.5, -1.5), (-1e300, -1.5)],
+    )
+    def test_beyond_them_it_is_cut(self, offset: float, allowed: float) -> None:
+        commands = one(min_v=3.5, max_v=7.5, max_rate_v_s=1e9)
+        assert commands.command(0, offset) == pytest.approx(allowed, abs=VOLTS_PER_COUNT)
+        (volts, *_) = commands_v(commands.frame())
+        assert 3.5 <= volts <= 7.5
+        assert volts == pytest.approx(5.0 + allowed, abs=VOLTS_PER_COUNT)
+
+    @pytest.mark.parametrize(
+        ("min_v", "max_v", "lowest", "highest"),
+        [(0.0, HIGHEST_WIRE_V, 0, 32767), (1.0001, 8.9999, 3278, 29490), (2.5, 7.5, 8192, 24576)],
+    )
+    def test_rounding_to_the_wire_stays_inside(
+        self, min_v: float, max_v: float, lowest: int, highest: int
+    ) -> None:
+        commands = one(min_v=min_v, max_v=max_v, max_rate_v_s=1e9)
+        for offset, counts in ((-99.0, lowest), (99.0, highest)):
+            commands.command(0, offset)
+            (volts, *_) = commands_v(commands.frame())
+            assert volts / VOLTS_PER_COUNT == counts
+            assert min_v <= volts <= max_v
+
+
+class TestRate:
+    def test_a_step_takes_its_time(self) -> None:
+        commands = one(max_rate_v_s=100.0)  # 1.12 V a period
+        steps = [commands.command(0, 3.0) for _ in range(4)]
+        assert steps == pytest.approx([1.12, 2.24, 3.0, 3.0])
+
+    def test_down_as_well_as_up(self) -> None:
+        commands = one(max_rate_v_s=100.0)
+        assert [commands.command(0, -3.0) for _ in range(3)] == pytest.approx([-1.12, -2.24, -3.0])
+        assert commands.command(0, 3.0) == pytest.approx(-1.88)
+
+    def test_exactly_the_rate_passes_unchanged(self) -> None:
+        commands = one(max_rate_v_s=100.0)
+        assert commands.command(0, 100.0 * PERIOD_S) == 100.0 * PERIOD_S
+
+    def test_it_counts_from_what_was_allowed_not_asked(self) -> None:
+        commands = one(max_v=6.0, max_rate_v_s=100.0)
+        for _ in range(10):
+            commands.command(0, 50.0)
+        assert commands.command(0, 0.0) == pytest.approx(0.0)
+
+    def test_slower_than_a_count_a_period_still_moves(self) -> None:
+        commands = one(max_rate_v_s=VOLTS_PER_COUNT / PERIOD_S / 4)
+        moved = [commands_v((commands.command(0, 5.0), commands.frame())[1])[0] for _ in range(9)]
+        assert moved[-1] == pytest.approx(5.0 + 2 * VOLTS_PER_COUNT)
+
+
+class TestCentre:
+    def test_it_is_immediate_whatever_the_rate(self) -> None:
+        commands = one(max_rate_v_s=1.0)
+        for _ in range(500):
+            commands.command(0, 4.0)
+        assert commands_v(commands.frame())[0] > 8.9
+        commands.centre()
+        assert commands_v(commands.frame())[0] == 5.0
+
+    def test_the_next_command_leaves_from_there(self) -> None:
+        commands = one(max_rate_v_s=100.0)
+        commands.command(0, 1.0)
+        commands.centre()
+        assert commands.command(0, -5.0) == pytest.approx(-1.12)
+
+    def test_before_any_command_every_valve_is_centred(self) -> None:
+        commands = ValveCommands([valve(2, centre_v=4.5), valve(1, centre_v=5.5)], PERIOD_S, True)
+        assert commands.volts == [4.5, 5.5]
+        assert commands_v(commands.frame()) == pytest.approx((5.5, 4.5, 5.0), abs=VOLTS_PER_COUNT / 2)
+
+    def test_a_valve_is_not_moved_by_another(self) -> None:
+        commands = ValveCommands([valve(1), valve(2), valve(3)], PERIOD_S, True)
+        commands.command(1, 2.0)
+        assert commands_v(commands.frame()) == pytest.approx((5.0, 7.0, 5.0), abs=VOLTS_PER_COUNT / 2)
+        assert commands.volts == [5.0, 7.0, 5.0]
+
+
+class TestFrame:
+    @pytest.mark.parametrize("channels", [(1,), (2,), (3,), (3, 1), (2, 3)])
+    def test_unused_channels_are_centred(self, channels: Sequence[int]) -> None:
+        commands = ValveCommands([valve(channel) for channel in channels], PERIOD_S, True)
+        for index in range(len(channels)):
+            commands.command(index, 1.0 + index)
+        volts = commands_v(commands.frame())
+        for channel in (1, 2, 3):
+            expected = 6.0 + channels.index(channel) if channel in channels else 5.0
+            assert volts[channel - 1] == pytest.approx(expected, abs=VOLTS_PER_COUNT / 2)
+
+    def test_counter_and_crc(self) -> None:
+        commands = one()
+        for k in range(600):
+            frame = commands.frame()
+            assert (frame.id, len(frame.data)) == (codec.RPDO1_DAC, 8)
+            assert frame.data[6] == k & 0xFF
+            assert frame.data[7] == crc8_j1850(frame.data[:7])
+            assert frame == Frame(codec.RPDO1_DAC, frame.data)  # neither extended nor remote
+
+    def test_unprotected_is_the_voltages_alone(self) -> None:
+        protected = ValveCommands([valve()], PERIOD_S, True)
+        unprotected = ValveCommands([valve()], PERIOD_S, False)
+        for commands in (protected, unprotected):
+            commands.command(0, 1.0)
+        assert unprotected.frame() == Frame(codec.RPDO1_DAC, protected.frame().data[:6])
+
+
+def any_valves() -> st.SearchStrategy[Valve]:
+    volts = st.floats(0.0, 10.0) | st.integers(0, 32768).map(lambda n: n * VOLTS_PER_COUNT)
+    rates = st.floats(1e-3, 1e6) | st.sampled_from([VOLTS_PER_COUNT / PERIOD_S, 400.0, 5e-324, 1e308])
+    return st.tuples(st.tuples(volts, volts, volts).map(sorted), st.integers(1, 3), rates).map(
+        lambda drawn: valve(drawn[1], drawn[0][1], drawn[0][0], drawn[0][2], drawn[2])
+    )
+
+
+@given(any_valves())
+@settings(max_examples=30)
+def test_a_rig_file_may_hold_exactly_these(limits: Valve) -> None:
+    keys = {f"axes.vertical.valve.{key}": repr(getattr(limits, key)) for key in Valve.__struct_fields__}
+    text = rig_text(keys, axes=("vertical",))
+    if is_allowed(limits):
+        assert read_rig(text, "rig.toml").axes["vertical"].valve == limits
+    else:
+        with pytest.raises(DocumentError, match=r"axes\.vertical\.valve"):
+            read_rig(text, "rig.toml")
+
+
+offsets = (
+    st.floats(allow_nan=False, allow_infinity=False)
+    | st.floats(-10, 10)
+    | st.sampled_from([0.0, 5.0, -5.0, 1e308, -1e308])
+)
+
+
+@given(any_valves().filter(is_allowed), st.lists(offsets | st.none(), min_size=1, max_size=30), st.booleans())
+@settings(max_examples=300)
+def test_no_sequence_of_offsets_leaves_the_limits(
+    limits: Valve, asked: list[float | None], protected: bool
+) -> None:
+    """None centres, which may be any step; everything else keeps the rate, to a count of the wire."""
+    commands = ValveCommands([limits], PERIOD_S, protected)
+    before = commands_v(commands.frame())[limits.channel - 1]
+    for offset in asked:
+        if offset is None:
+            commands.centre()
+            allowed = 0.0
+        else:
+            allowed = commands.command(0, offset)
+        sent = commands_v(commands.frame())[limits.channel - 1]
+        assert limits.min_v - TINY <= sent <= limits.max_v + TINY
+        assert abs(sent - (limits.centre_v + allowed)) <= VOLTS_PER_COUNT / 2 + TINY
+        if offset is not None:
+            assert abs(sent - before) <= limits.max_rate_v_s * PERIOD_S + VOLTS_PER_COUNT + TINY
+        before = sent
+
+
+class TestNoOtherWay:
+    """Nothing but hil/core/valve_commands.py encodes RPDO1_DAC or builds a frame with its identifier."""
+
+    SOURCES = sorted(Path(hil.__file__).parent.rglob("*.py"))
+    ALLOWED = ("valve_commands.py",)
+
+    @staticmethod
+    def offences(tree: ast.AST) -> list[str]:
+        found = []
+        for node in ast.walk(tree):
+            name = getattr(node, "attr", getattr(node, "id", getattr(node, "name", "")))
+            if isinstance(node, ast.Attribute | ast.Name | ast.alias) and name == "encode_rpdo1_dac":
+                found.append(f"line {getattr(node, 'lineno', '?')}: uses encode_rpdo1_dac")
+            if not isinstance(node, ast.Call):
+                continue
+            called = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if called not in ("Frame", "_replace", "_make"):
+                continue
+            for argument in [*node.args, *(keyword.value for keyword in node.keywords)]:
+                for part in ast.walk(argument):
+                    is_named = getattr(part, "attr", getattr(part, "id", "")) == "RPDO1_DAC"
+                    if is_named or (isinstance(part, ast.Constant) and part.value == codec.RPDO1_DAC):
+                        found.append(f"line {node.lineno}: a frame with the identifier of RPDO1_DAC")
+        return found
+
+    def test_only_limits_does(self) -> None:
+        assert len(self.SOURCES) > 20
+        offenders = {
+            str(path): offences
+            for path in self.SOURCES
+            if path.name not in self.ALLOWED and path.parent.name != "wire"
+            if (offences := self.offences(ast.parse(path.read_text())))
+        }
+        assert offenders == {}
+
+    def test_limits_itself_would_be_found(self) -> None:
+        limits = Path(hil.__file__).parent / "core" / "valve_commands.py"
+        assert len(self.offences(ast.parse(limits.read_text()))) == 3
+
+    @pytest.mark.parametrize(
+        "line",
+        [
+            "frame = Frame(codec.RPDO1_DAC, data)",
+            "frame = Frame(id=RPDO1_DAC)",
+            "frame = Frame(0x220, data)",
+            "frame = frames.Frame(544)",
+            "frame = other._replace(id=codec.RPDO1_DAC)",
+            "data = codec.encode_rpdo1_dac(5.0, 5.0, 5.0, 0, 0)",
+            "from hil.core.wire.codec import encode_rpdo1_dac as harmless",
+            "encoders = [encode_rpdo1_dac]",
+        ],
+    )
+    def test_every_shape_of_it_is_found(self, line: str) -> None:
+        assert self.offences(ast.parse(line))

@@ -1,0 +1,125 @@
+"""Rights are asked for, told truly, and given back. What this machine grants is not known beforehand."""
+
+import gc
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.host.realtime_rights import FIFO_PRIORITY, Rights, real_time_rights
+
+NAMES = ["garbage collector", "timer slack", "processor sleep", "memory lock", "SCHED_FIFO", "processor"]
+
+
+def state() -> dict[str, object]:
+    """What the kernel and the interpreter say of this thread."""
+    status = Path("/proc/self/status").read_text()
+    return {
+        "policy": os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK,
+        "priority": os.sched_getparam(0).sched_priority,
+        "processors": os.sched_getaffinity(0),
+        "timer slack": Path("/proc/self/timerslack_ns").read_text().strip(),
+        "is memory locked": "VmLck:\t       0 kB" not in status,
+        "is collecting": gc.isenabled(),
+        "frozen objects": gc.get_freeze_count(),
+    }
+
+
+def is_granted(rights: Rights, name: str) -> bool:
+    (right,) = (right for right in rights if right.name == name)
+    return right.is_granted
+
+
+def test_what_is_told_is_what_the_kernel_says() -> None:
+    before = state()
+    with real_time_rights() as rights:
+        during = state()
+    assert [right.name for right in rights] == NAMES
+    assert is_granted(rights, "garbage collector")
+    assert not during["is collecting"]
+    assert during["frozen objects"] != 0
+    assert is_granted(rights, "timer slack")
+    assert (during["policy"] == os.SCHED_FIFO) == is_granted(rights, "SCHED_FIFO")
+    assert (during["priority"] == FIFO_PRIORITY) == is_granted(rights, "SCHED_FIFO")
+    assert during["is memory locked"] == is_granted(rights, "memory lock")
+    if is_granted(rights, "processor"):
+        assert isinstance(during["processors"], set)
+        assert len(during["processors"]) == 1
+    else:
+        assert during["processors"] == before["processors"]
+
+
+def test_everything_is_given_back() -> None:
+    before = state()
+    with real_time_rights():
+        pass
+    assert state() == before
+
+
+def test_everything_is_given_back_after_an_error() -> None:
+    before = state()
+    with pytest.raises(ZeroDivisionError), real_time_rights():
+        1 / 0  # noqa: B018
+    assert state() == before
+
+
+def test_a_refusal_is_told_with_its_reason_and_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_arguments: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    processors = os.sched_getaffinity(0)
+    with real_time_rights() as rights:
+        assert os.sched_getaffinity(0) == processors, "no priority, no pinning"
+    told = rights.as_metadata()
+    assert list(told) == NAMES
+    assert told["SCHED_FIFO"] == "refused: Operation not permitted"
+    assert told["processor"] == "refused: of no use without SCHED_FIFO"
+    assert told["garbage collector"] == "granted: frozen and off"
+    assert "refused: " in str(rights)
+    assert "SCHED_FIFO (Operation not permitted)" in str(rights).partition("refused: ")[2]
+
+
+def test_a_limit_that_would_kill_a_busy_loop_is_found_before_it_does() -> None:
+    program = (
+        "import resource; from hil.host.realtime_rights import real_time_rights\n"
+        "resource.setrlimit(resource.RLIMIT_RTTIME, (50_000, 50_000))\n"
+        "with real_time_rights() as rights: print(rights.as_metadata()['SCHED_FIFO'])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "refused: RLIMIT_RTTIME of 50000 us would kill a busy loop\n"
+
+
+def test_soft_limits_are_raised_to_the_hard_ones() -> None:
+    program = (
+        "import resource; from hil.host.realtime_rights import real_time_rights\n"
+        "resource.setrlimit(resource.RLIMIT_RTTIME, (50_000, 5_000_000))\n"
+        "with real_time_rights(): print(resource.getrlimit(resource.RLIMIT_RTTIME))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "(5000000, 5000000)\n"
+
+
+def test_a_child_does_not_inherit_the_priority() -> None:
+    with real_time_rights():
+        done = subprocess.run(
+            [sys.executable, "-c", "import os; print(os.sched_getscheduler(0) == os.SCHED_OTHER)"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    assert done.stdout == "True\n"
+
+
+@pytest.mark.parametrize(
+    ("listed", "expected"), [("", set()), ("\n", set()), ("3\n", {3}), ("1-2,5\n", {1, 2, 5})]
+)
+def test_isolated_processors_are_read(
+    listed: str, expected: set[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hil.host import realtime_rights as rights
+
+    monkeypatch.setattr(Path, "read_text", lambda _self: listed)
+    assert rights._isolated_processors() == expected

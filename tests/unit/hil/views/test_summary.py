@@ -1,0 +1,276 @@
+"""Step metrics against responses whose overshoot and settling are known in closed form."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from support.recorded_runs import (
+    PERIOD_S,
+    RUN_HEADER,
+    Signals,
+    following,
+    in_memory,
+    lag,
+    record_periods,
+    record_run,
+    step,
+)
+
+from hil.core.life_cycle import State
+from hil.recording.reader import Recording
+from hil.recording.recorder import Recorder
+from hil.views.summary import Quantiles, StepResponse, Summary, Tracking, summarise
+
+
+def summary_of(tmp_path: Path, signals: Signals, seconds: float = 5.0) -> Summary:
+    path = tmp_path / "run.mcap"
+    record_run(path, round(seconds / PERIOD_S), signals)
+    return summarise(Recording(path))
+
+
+def step_response(tmp_path: Path, signals: Signals, seconds: float = 5.0) -> StepResponse:
+    axis = summary_of(tmp_path, signals, seconds).axes["vertical"]
+    assert isinstance(axis, StepResponse)
+    return axis
+
+
+def tracking(tmp_path: Path, signals: Signals, seconds: float = 5.0) -> Tracking:
+    axis = summary_of(tmp_path, signals, seconds).axes["vertical"]
+    assert isinstance(axis, Tracking)
+    return axis
+
+
+def second_order(size: float, at_s: float, zeta: float, omega: float) -> Callable[[float], float]:
+    damped = omega * math.sqrt(1 - zeta**2)
+
+    def at(t: float) -> float:
+        t = max(t - at_s, 0.0)
+        decay = math.exp(-zeta * omega * t)
+        return size * (1 - decay * (math.cos(damped * t) + zeta * omega / damped * math.sin(damped * t)))
+
+    return at
+
+
+@pytest.mark.parametrize("tau_s", [0.05, 0.2, 0.5])
+@pytest.mark.parametrize("size", [0.1, -0.04])
+def test_a_first_order_lag_settles_in_tau_ln_50(tmp_path: Path, size: float, tau_s: float) -> None:
+    response = step_response(tmp_path, following(step(size, 1.0), lag(size, 1.0, tau_s)))
+    assert (response.step_from, response.step_to, response.unit) == (0.0, size, "m")
+    assert response.overshoot_percent == 0.0
+    assert response.settling_s == pytest.approx(tau_s * math.log(50), abs=PERIOD_S)
+    assert response.steady_state_error == pytest.approx(0.0, abs=abs(size) * 1e-2)
+
+
+@pytest.mark.parametrize("zeta", [0.3, 0.5, 0.7])
+@pytest.mark.parametrize("size", [0.1, -0.04])
+def test_the_overshoot_of_a_second_order_system(tmp_path: Path, size: float, zeta: float) -> None:
+    response = step_response(tmp_path, following(step(size, 1.0), second_order(size, 1.0, zeta, 8.0)))
+    expected = 100 * math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
+    assert response.overshoot_percent == pytest.approx(expected, rel=0.01)
+
+
+def test_a_constant_offset_is_the_steady_state_error(tmp_path: Path) -> None:
+    response = step_response(tmp_path, following(step(0.1, 1.0), lag(0.099, 1.0, 0.1)))
+    assert response.steady_state_error == pytest.approx(0.001, rel=1e-3)
+    assert response.settling_s is not None
+
+
+def test_what_does_not_settle_has_no_settling_time(tmp_path: Path) -> None:
+    response = step_response(tmp_path, following(step(0.1, 1.0), lag(0.09, 1.0, 0.1)))
+    assert response.settling_s is None
+    assert response.steady_state_error == pytest.approx(0.01, rel=1e-3)
+
+
+def test_the_last_step_of_a_ladder_counts(tmp_path: Path) -> None:
+    ladder = lambda t: 0.05 * min(int(t), 3)  # noqa: E731
+    climb = lambda t: sum(lag(0.05, at_s, 0.1)(t) for at_s in (1.0, 2.0, 3.0))  # noqa: E731
+    response = step_response(tmp_path, following(ladder, climb))
+    assert response.step_from == pytest.approx(0.1)
+    assert response.step_to == pytest.approx(0.15)
+    assert response.settling_s == pytest.approx(0.1 * math.log(50), abs=2 * PERIOD_S)
+
+
+def test_a_step_in_the_first_period_counts_from_where_the_axis_was(tmp_path: Path) -> None:
+    response = step_response(tmp_path, following(lambda t: 0.1, lag(0.1, 0.0, 0.2)))
+    assert (response.step_from, response.step_to) == (0.0, 0.1)
+    assert response.settling_s == pytest.approx(0.2 * math.log(50), abs=2 * PERIOD_S)
+
+
+def test_holding_a_position_is_no_step(tmp_path: Path) -> None:
+    """The setpoint goes from the position before the run to where it is held: nobody asked for a step."""
+    assert tracking(tmp_path, following(lambda t: 0.0, lambda t: 0.00004)).largest_error == pytest.approx(
+        4e-5
+    )
+
+
+@pytest.mark.parametrize(
+    "setpoint",
+    [
+        lambda t: 0.1 * math.sin(math.tau * t),
+        lambda t: 0.02 * t,
+        lambda t: 0.1 * min(max(t - 1.0, 0.0), 1.0),
+    ],
+    ids=["sine", "ramp to the end", "ramp and hold"],
+)
+def test_what_does_not_step_is_tracked(tmp_path: Path, setpoint: Callable[[float], float]) -> None:
+    result = tracking(tmp_path, following(setpoint, lambda t: setpoint(t) - 0.003))
+    assert result.rms_error == pytest.approx(0.003)
+    assert result.largest_error == pytest.approx(0.003)
+
+
+def test_the_error_of_a_sine_by_its_root_mean_square(tmp_path: Path) -> None:
+    result = tracking(tmp_path, following(lambda t: 0.1 * math.sin(math.tau * t), lambda t: 0.0))
+    assert result.rms_error == pytest.approx(0.1 / math.sqrt(2), rel=2e-3)
+    assert result.largest_error == pytest.approx(0.1, rel=2e-3)
+
+
+def test_the_valve_is_seen_while_running(tmp_path: Path) -> None:
+    response = step_response(tmp_path, following(step(0.1, 1.0), lag(0.1, 1.0, 0.2)))
+    assert response.lowest_valve_v == 5.0
+    assert response.highest_valve_v == pytest.approx(6.0, abs=0.06)
+
+
+def test_timing_is_told_by_values_that_occurred(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(
+        recorder,
+        1000,
+        lateness_ns=lambda k: 1000 * (k + 1),
+        response_ns=lambda k: 2_070_000 if k == 500 else 470_000,
+        sync_ns=70_000,
+    )
+    record_periods(recorder, 10, first=1003, lateness_ns=lambda k: 0)
+    recorder.close({})
+    summary = summarise(Recording(path))
+    assert summary.lateness == Quantiles(p50_us=495.0, p99_us=990.0, p99_9_us=999.0, worst_us=1000.0)
+    assert summary.response == Quantiles(p50_us=400.0, p99_us=400.0, p99_9_us=400.0, worst_us=2000.0)
+    assert (summary.periods, summary.missed_periods, summary.periods_without_sample) == (1010, 3, 0)
+    assert (summary.frames_received, summary.frames_sent) == (1010, 2020)
+
+
+def test_a_run_that_never_ran_has_timing_alone(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(recorder, 50, state=State.READY)
+    recorder.close({})
+    summary = summarise(Recording(path))
+    assert summary.axes == {}
+    assert summary.periods == 50
+
+
+def test_a_run_without_a_period_is_summed_up(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    recorder.operated("arm", 1)
+    recorder.close({})
+    summary = summarise(Recording(path))
+    assert (summary.periods, summary.missed_periods, summary.lateness.worst_us) == (0, 0, 0.0)
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary.table())
+    rows = [line.split() for line in console.export_text().splitlines() if "–" in line]
+    assert rows == [["lateness", *"––––"], ["response", *"––––"]], "no time is not no time at all"
+
+
+def test_the_table_fits_a_terminal_and_shows_what_the_dict_holds(tmp_path: Path) -> None:
+    summary = summary_of(tmp_path, following(step(0.1, 1.0), lag(0.1, 1.0, 0.2)))
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary.table())
+    text = console.export_text()
+    assert all(len(line.rstrip()) <= 80 for line in text.splitlines())
+    row = next(line for line in text.splitlines() if line.strip().startswith("rotation"))
+    assert "0→0.1 rad" in row
+    assert "0.00 %" in row
+    assert "5.00…" in row
+    plain = json.loads(json.dumps(summary.as_dict()))
+    assert plain["axes"]["rotation"]["unit"] == "rad"
+    assert f"{plain['axes']['rotation']['settling_s']:.2f} s" in row
+    assert plain["lateness"]["worst_us"] == 100.0
+
+
+LOSSES = {
+    "frames dropped by the kernel": "frames_dropped",
+    "frames unreadable": "frames_unreadable",
+    "frames not sent": "frames_not_sent",
+    "rejected frames": "frames_rejected",
+    "lost samples": "samples_lost",
+    "error frames": "error_frames",
+}
+
+
+def told_of(tmp_path: Path, ending: dict[str, str]) -> tuple[Summary, str]:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(recorder, 300)
+    recorder.close({"ending": ending})
+    summary = summarise(Recording(path))
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary.table())
+    return summary, console.export_text()
+
+
+@pytest.mark.parametrize("key", LOSSES)
+def test_what_was_lost_is_told_loudly(tmp_path: Path, key: str) -> None:
+    summary, text = told_of(tmp_path, dict.fromkeys(LOSSES, "0") | {key: "17"})
+    assert {name: summary.as_dict()[name] for name in LOSSES.values()} == dict.fromkeys(
+        LOSSES.values(), 0
+    ) | {LOSSES[key]: 17}
+    (line,) = [line for line in text.splitlines() if line.startswith("ATTENTION: 17 ")]
+    assert line.count(",") == 0
+
+
+def test_that_nothing_was_lost_is_told(tmp_path: Path) -> None:
+    _, text = told_of(tmp_path, dict.fromkeys(LOSSES, "0"))
+    assert "nothing dropped, rejected or lost" in text
+    assert "ATTENTION" not in text
+
+
+def test_what_is_not_known_is_none(tmp_path: Path) -> None:
+    summary, text = told_of(tmp_path, {"frames dropped by the kernel": "unknown"})
+    assert summary.frames_dropped is None
+    assert summary.frames_rejected is None
+    assert "ATTENTION" not in text
+
+
+def test_messages_that_were_not_recorded_are_told_loudly(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(recorder, 300)
+    recorder._pipe.dropped.update({1: 5, 4: 2})
+    recorder.close({})
+    summary = summarise(Recording(path))
+    assert summary.messages_dropped == 7
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary.table())
+    assert "ATTENTION: 7 messages not recorded" in console.export_text()
+
+
+def test_a_cut_off_recording_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record_run(path, 300)
+    path.write_bytes(path.read_bytes()[:-40])
+    summary = summarise(Recording(path))
+    assert not summary.complete
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(summary.table())
+    assert "cut off" in console.export_text()
+
+
+def test_an_interrupted_run_says_so_and_others_do_not(tmp_path: Path) -> None:
+    ending = {"reason": "interrupted", "duration asked for, s": "600"}
+    summary, text = told_of(tmp_path, ending)
+    assert summary.controlled_s == pytest.approx(298 * PERIOD_S)
+    assert f"interrupted after {298 * PERIOD_S:.0f} s of 600" in text
+    (tmp_path / "run.mcap").unlink()
+    assert "interrupted" not in told_of(tmp_path, ending | {"reason": "completed"})[1]
