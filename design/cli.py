@@ -59,7 +59,7 @@ def main(argv: list[str]) -> int:
     from design.output.closing import tell
     from design.output.controller_files import controller_files
     from design.output.results_folder import ResultsFolder
-    from design.synthesis.procedure import carry_out
+    from design.synthesis.procedure import design_controller
 
     plant = inputs.plant
     directory: Path = options.out or Path("designs") / re.sub(r"[^\w.-]+", "-", plant.name)
@@ -67,7 +67,7 @@ def main(argv: list[str]) -> int:
     folder.check()
     console = Console(highlight=False)
     with _progress_bars() as on_progress:
-        design = carry_out(inputs.design_file, plant, inputs.further, on_progress)
+        design = design_controller(inputs.design_file, plant, inputs.further, on_progress)
     controllers = controller_files(design)
     folder.replace(_report_files(design, folder.title, inputs.measured) | controllers)
     return tell(console, design, inputs.measured, directory)

@@ -84,7 +84,7 @@ class Design:
         return self.problem.eps(self.measures[0])
 
 
-def carry_out(
+def design_controller(
     design_file: DesignFile,
     plant: Plant,
     further: Sequence[Plant] = (),

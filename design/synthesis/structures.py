@@ -20,9 +20,7 @@ from design.models.controller import Controller, of_error
 from design.models.plant import TransferFunction, to_z
 from design.models.realisation import observer_form, sampled
 from design.search.boxes import Box, Parameter
-from hil.core.controller_file import Law, Pid
-from hil.core.controller_file import StateSpace as StateSpaceLaw
-from hil.core.controller_file import TransferFunction as TransferFunctionLaw
+from hil.core.controller_file import Law, PidLaw, StateSpaceLaw, TransferFunctionLaw
 
 
 @runtime_checkable
@@ -105,7 +103,7 @@ class Proportional(TustinLaw):
 
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """See Structure."""
-        return Pid(kp=float(values[0]), ki=0.0)
+        return PidLaw(kp=float(values[0]), ki=0.0)
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ class ProportionalIntegral(TustinLaw):
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """See Structure."""
         kp, ki = map(float, values)
-        return Pid(kp=kp, ki=ki)
+        return PidLaw(kp=kp, ki=ki)
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ class ProportionalDerivative(TustinLaw):
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """See Structure."""
         kp, kd, tau_d = map(float, values)
-        return Pid(kp=kp, ki=0.0, kd=kd, tau_d=tau_d)
+        return PidLaw(kp=kp, ki=0.0, kd=kd, tau_d=tau_d)
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ class ProportionalIntegralDerivative(TustinLaw):
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """See Structure."""
         kp, ki, kd, tau_d = map(float, values)
-        return Pid(kp=kp, ki=ki, kd=kd, tau_d=tau_d)
+        return PidLaw(kp=kp, ki=ki, kd=kd, tau_d=tau_d)
 
 
 @dataclass(frozen=True)
@@ -176,7 +174,7 @@ class TwoDegreeOfFreedomPid(TustinLaw):
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """See Structure."""
         kp, ki, kd, tau_d, b, c = map(float, values)
-        return Pid(kp=kp, ki=ki, kd=kd, tau_d=tau_d, b=b, c=c)
+        return PidLaw(kp=kp, ki=ki, kd=kd, tau_d=tau_d, b=b, c=c)
 
 
 @dataclass(frozen=True)

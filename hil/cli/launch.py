@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 from firmware_sim.plant_options import build_plant, planned_events, plant_arguments
 from hil import __version__
 from hil.core.errors import LinkError
-from hil.core.events import Event, Severity
 from hil.core.gateway import Gateway
+from hil.core.output import LogEntry, Severity
 from hil.host.child_process import await_end
 from hil.recording.recorder import ARM_EVENTS, Recorder, RecorderReport, RunHeader
 from hil.shells.run_plan import RunPlan, StopRequest
@@ -65,7 +65,7 @@ def run_realtime(
             most_refused = setup.rig.adc.stale_after_periods
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display, most_refused)
-            session.note(Event(Severity.INFO, "rights", str(rights)))
+            session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             _announce(session, plan.duration_s, planned)
             error = run(session, link, stop_request)
         ending = _ending(plan, gateway) | {
@@ -105,9 +105,11 @@ def _announce(session: Session, duration_s: float, planned: dict[str, float]) ->
     """Note what will happen to the simulated arm, and warn of what the run does not live to see."""
     for text, at_s in planned.items():
         if at_s < duration_s:
-            event = Event(Severity.INFO, "arm", f"planned: {text} (s from the first sample on)")
+            event = LogEntry(Severity.INFO, "arm", f"planned: {text} (s from the first sample on)")
         else:
-            event = Event(Severity.WARNING, "arm", f"{text} lies after the end of the run, {duration_s:g} s")
+            event = LogEntry(
+                Severity.WARNING, "arm", f"{text} lies after the end of the run, {duration_s:g} s"
+            )
         session.note(event)
 
 

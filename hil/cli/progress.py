@@ -5,8 +5,8 @@ from __future__ import annotations
 from rich.console import Console
 from rich.progress import Progress
 
-from hil.core.events import Cycle, Event, Severity
 from hil.core.gateway import Gateway
+from hil.core.output import Cycle, LogEntry, Severity
 
 SHORT_RUN_S = 120.0
 UPDATE_PERIODS = 2000
@@ -26,7 +26,7 @@ class LockstepProgress:
     def __exit__(self, *_error: object) -> None:
         self._progress.stop()
 
-    def event(self, event: Event) -> None:
+    def log(self, event: LogEntry) -> None:
         """Print what is worse than news."""
         if event.severity > Severity.INFO:
             self._progress.console.print(f"{event.source}: {event.text}", highlight=False, soft_wrap=True)

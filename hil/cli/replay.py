@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
             continue
         rest = "" if report.complete else "; it was cut off: what it holds was verified"
         sys.stdout.write(
-            f"identical  {path}: {report.frames_compared} frames, {report.events_compared} events and "
+            f"identical  {path}: {report.frames_compared} frames, {report.log_entries_compared} events and "
             f"{report.periods_compared} periods of signals from {report.calls} calls, "
             f"{report.duration_s:.3f} s{rest}\n"
         )

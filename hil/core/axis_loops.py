@@ -11,8 +11,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from hil.core.control_law import ControlLaw
-from hil.core.events import AxisSignals
 from hil.core.frames import Frame
+from hil.core.output import AxisSignals
 from hil.core.rig import Rig
 from hil.core.setpoints import Setpoint
 from hil.core.valve_commands import ValveCommands

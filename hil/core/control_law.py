@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.core.controller_file import Law, Pid, StateSpace, TransferFunction
+from hil.core.controller_file import Law, PidLaw, StateSpaceLaw, TransferFunctionLaw
 from hil.core.errors import DocumentError
 
 LARGEST_COEFFICIENT = 1e12
@@ -39,11 +39,11 @@ class Realisation(NamedTuple):
 def realise(law: Law, sample_time_s: float) -> Realisation:
     """State space of a controller file's law at ``sample_time_s``; exactly what the daemon runs."""
     match law:
-        case Pid():
+        case PidLaw():
             return _realise_pid(law, sample_time_s)
-        case TransferFunction(num=num, den=den):
+        case TransferFunctionLaw(num=num, den=den):
             return _realise_transfer_function(np.array(num), np.array(den))
-        case StateSpace():
+        case StateSpaceLaw():
             n = len(law.A)
             A = np.array(law.A).reshape(n, n)
             m = 1 if law.inputs == "e" else 2
@@ -165,7 +165,7 @@ def _slowest_mode(A: Matrix, C: Matrix) -> Matrix:
     return np.asarray((modes[:, [slowest]] / seen[slowest]).real, dtype=np.float64)
 
 
-def _realise_pid(pid: Pid, ts: float) -> Realisation:
+def _realise_pid(pid: PidLaw, ts: float) -> Realisation:
     """Eq. (19) by Tustin: 1/s is Ts/2 (z+1)/(z-1), the filtered derivative g (z-1)/(z-beta)."""
     beta = (2.0 * pid.tau_d - ts) / (2.0 * pid.tau_d + ts)
     g = 2.0 * pid.kd / (2.0 * pid.tau_d + ts)

@@ -17,7 +17,7 @@ from hil.core.errors import DocumentError
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
 
-class Pid(Document, frozen=True, tag_field="kind", tag="pid"):
+class PidLaw(Document, frozen=True, tag_field="kind", tag="pid"):
     """PID with filtered derivative, eq. (19), sampled by Tustin's rule at the file's sample time.
 
     u = kp (b r - y) + ki/s (r - y) + kd s/(tau_d s + 1) (c r - y); gains in output unit per input unit
@@ -32,14 +32,14 @@ class Pid(Document, frozen=True, tag_field="kind", tag="pid"):
     c: float = 1.0
 
 
-class TransferFunction(Document, frozen=True, tag_field="kind", tag="transfer_function"):
+class TransferFunctionLaw(Document, frozen=True, tag_field="kind", tag="transfer_function"):
     """u/e = num(z)/den(z), coefficients in falling powers of z, den of the same or higher degree."""
 
     num: list[float]
     den: list[float]
 
 
-class StateSpace(Document, frozen=True, tag_field="kind", tag="state_space"):
+class StateSpaceLaw(Document, frozen=True, tag_field="kind", tag="state_space"):
     """x[k+1] = A x[k] + B w[k], u[k] = C x[k] + D w[k] with w = [e] or w = [r, y].
 
     Shapes: A (n, n), B (n, m), C (1, n), D (1, m), m = 1 for ``inputs = "e"`` and 2 for ``"r, y"``.
@@ -52,7 +52,7 @@ class StateSpace(Document, frozen=True, tag_field="kind", tag="state_space"):
     inputs: Literal["e", "r, y"] = "e"
 
 
-Law = Pid | TransferFunction | StateSpace
+Law = PidLaw | TransferFunctionLaw | StateSpaceLaw
 
 
 class ControllerFile(Document, frozen=True):
@@ -75,12 +75,12 @@ def read_controller(text: str, source: str) -> ControllerFile:
     controller = from_json(text, ControllerFile, source)
     where = f"{source}: law"
     match controller.law:
-        case Pid() as pid:
+        case PidLaw() as pid:
             if pid.kd != 0.0 and pid.tau_d == 0.0:
                 raise DocumentError(f"{where}.tau_d: 0 s with kd {pid.kd} is an unfiltered derivative")
-        case TransferFunction(num=num, den=den):
+        case TransferFunctionLaw(num=num, den=den):
             _check_polynomials(num, den, where)
-        case StateSpace() as law:
+        case StateSpaceLaw() as law:
             _check_shapes(law, where)
     return controller
 
@@ -107,7 +107,7 @@ def _check_polynomials(num: list[float], den: list[float], where: str) -> None:
         )
 
 
-def _check_shapes(law: StateSpace, where: str) -> None:
+def _check_shapes(law: StateSpaceLaw, where: str) -> None:
     n, m = len(law.A), 1 if law.inputs == "e" else 2
     for name, rows, columns in (("A", n, n), ("B", n, m), ("C", 1, n), ("D", 1, m)):
         matrix: list[list[float]] = getattr(law, name)

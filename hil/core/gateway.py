@@ -18,9 +18,9 @@ from collections.abc import Mapping
 from hil.core.axis_loops import AxisLoops
 from hil.core.board_watch import BoardWatch, NmtState, describe_emergency
 from hil.core.control_law import ControlLaw
-from hil.core.events import Cycle, Event, Moderator, Output, Severity
 from hil.core.frames import Frame
-from hil.core.life_cycle import OPERATOR_TRIGGERS, State, Trigger, allowed_triggers, next_state
+from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger, allowed_triggers, next_state
+from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
 from hil.core.rig import Rig
 from hil.core.sample_guard import NOT_ALONE, SampleGuard, Unasked
 from hil.core.setpoints import Setpoint
@@ -75,7 +75,7 @@ class Gateway:
             "dac", DAC_NODE, rig.dac.heartbeat_timeout_periods * period_ns, "dac.heartbeat_timeout_periods"
         )
         self._boards = (self._adc, self._dac)
-        self.state = State.OFFLINE
+        self.state = LifeCycleState.OFFLINE
         self.fault_reason: str | None = None
         self.next_deadline_ns = first_deadline_ns
         self.missed_periods = 0
@@ -92,7 +92,7 @@ class Gateway:
         self._last_rejection = ""
         self._reported: set[Frame] = set()
         """Frames without their data that were told once."""
-        self._moderator = Moderator()
+        self._throttle = LogThrottle()
         self._started_boards: set[str] = set()
         """Those sent an NMT start in this period: one is enough, whatever their heartbeats say."""
 
@@ -114,12 +114,12 @@ class Gateway:
     def on_deadline(self, now_ns: int) -> Output:
         """Begin the period that is due: SYNC, supervision, and centring where nothing is running."""
         frames: list[Frame] = []
-        events: list[Event] = []
+        events: list[LogEntry] = []
         deadline_ns = self.next_deadline_ns
         skipped = (now_ns - deadline_ns) // self._period_ns
         if skipped > 0:
             text = f"woke {(now_ns - deadline_ns) / 1e6:.1f} ms late: {skipped} periods skipped"
-            events.append(Event(Severity.WARNING, "loop", text))
+            events.append(LogEntry(Severity.WARNING, "loop", text))
             deadline_ns += skipped * self._period_ns
             self.missed_periods += skipped
         cycle = self._close_period(max(skipped, 0), frames, events)
@@ -134,25 +134,25 @@ class Gateway:
         self._started_boards.clear()
         self.next_deadline_ns = deadline_ns + self._period_ns
         # A command that centres the valves, as every change of state may, never waits for its SYNC.
-        is_settled = self.state is self._state_before and self.state is not State.FAULT
+        is_settled = self.state is self._state_before and self.state is not LifeCycleState.FAULT
         self._state_before = self.state
         late_ns = now_ns - deadline_ns
         if is_settled and late_ns > self._period_ns // 2:
             # The next SYNC would follow too soon: valves would move by two periods' steps at once.
             self.missed_periods += 1
             text = f"woke {late_ns / 1e6:.1f} ms late: this period passes without SYNC"
-            events.extend(self._tell(Severity.WARNING, "loop", text).events)
+            events.extend(self._tell(Severity.WARNING, "loop", text).log)
         elif self._guard.begin_period(now_ns, may_wait=is_settled):
             frames.append(_SYNC_FRAME)
-        elif self.state is not State.OFFLINE:
+        elif self.state is not LifeCycleState.OFFLINE:
             text = "a period without SYNC, to tell late from lost"
-            events.extend(self._tell(Severity.WARNING, "guard", text, kind="no SYNC").events)
+            events.extend(self._tell(Severity.WARNING, "guard", text, kind="no SYNC").log)
         if self._number >= self._heartbeat_number:
             self._heartbeat_number = self._number + self._rig.gateway.heartbeat_periods
             frames.append(
                 Frame(codec.HEARTBEAT_GATEWAY, codec.encode_heartbeat_gateway(NmtState.OPERATIONAL))
             )
-        if self.state is not State.RUNNING:
+        if self.state is not LifeCycleState.RUNNING:
             frames.append(self._loops.centre())
         return Output(tuple(frames), tuple(events), cycle)
 
@@ -173,7 +173,7 @@ class Gateway:
             return self._receive_emergency(self._dac, data)
         if identifier in OWN_IDENTIFIERS:
             return self._receive_foreign(frame)
-        if identifier in COMMANDS_TO_BOARDS and self.state in (State.ARMED, State.RUNNING):
+        if identifier in COMMANDS_TO_BOARDS and self.state in (LifeCycleState.ARMED, LifeCycleState.RUNNING):
             text = f"{COMMANDS_TO_BOARDS[identifier]}, frame {frame}: another master commands this bus"
             return self._fault("bus", text)
         return self._report_unexpected(frame)
@@ -184,8 +184,8 @@ class Gateway:
             allowed = ", ".join(allowed_triggers(self.state)) or "nothing"
             why = "; ".join(f"{board.name} {board.describe()}" for board in self._boards)
             text = f"{trigger.value} refused in state {self.state.name.lower()} ({why}); allowed: {allowed}"
-            return Output(events=(Event(Severity.WARNING, "life cycle", text),))
-        events: list[Event] = []
+            return Output(log=(LogEntry(Severity.WARNING, "life cycle", text),))
+        events: list[LogEntry] = []
         self._enter(trigger, events)
         if trigger is Trigger.START:
             self._loops.begin_anew()
@@ -193,7 +193,7 @@ class Gateway:
             self.fault_reason = None
             self._last_rejection = ""
             self._guard.forget()
-            self._moderator.forget()
+            self._throttle.forget()
         frames = (self._loops.centre(),) if trigger is Trigger.STOP else ()
         return Output(frames, tuple(events))
 
@@ -204,12 +204,16 @@ class Gateway:
     # One period
 
     def _receive_sample(self, data: bytes, now_ns: int) -> Output:
-        events: list[Event] = []
+        events: list[LogEntry] = []
         lost_before = self._guard.lost
         checked = self._guard.check(data, now_ns)
         if self._guard.lost != lost_before:
             self._report_lost(lost_before, events)
-        if self._guard.surplus > 0 and self.state is State.READY and not isinstance(checked, Unasked):
+        if (
+            self._guard.surplus > 0
+            and self.state is LifeCycleState.READY
+            and not isinstance(checked, Unasked)
+        ):
             checked = Unasked(f"TPDO1_ADC: more answers than SYNCs: {NOT_ALONE}")
         if isinstance(checked, Unasked):
             self.rejected_frames += 1
@@ -218,28 +222,28 @@ class Gateway:
             self._lose("adc", checked, unasked, events)
             return Output(tuple(unasked), tuple(events))
         if isinstance(checked, str):
-            return Output(events=(*events, *self._reject(checked).events))
+            return Output(log=(*events, *self._reject(checked).log))
         self._has_sample = True
         self._stale_periods = 0
         self._last_rejection = ""
         frames: tuple[Frame, ...] = ()
-        if self.state is State.OFFLINE and self._boards_are_fit and self._guard.surplus == 0:
+        if self.state is LifeCycleState.OFFLINE and self._boards_are_fit and self._guard.surplus == 0:
             self._enter(Trigger.BOARDS_UP, events)
-        if self.state is not State.RUNNING:
+        if self.state is not LifeCycleState.RUNNING:
             self._loops.observe(checked)
         elif (culprit := self._loops.control(checked, self._deadline_ns, now_ns)) is None:
             frames = (self._loops.command(),)
         else:
             r, y, _, u, _, _ = culprit.signals
             fault = self._fault(culprit.name, f"control law gave {u} V at setpoint {r:g}, position {y:g}")
-            frames, events = fault.frames, [*events, *fault.events]
+            frames, events = fault.frames, [*events, *fault.log]
         return Output(frames, tuple(events), self._cycle(now_ns, True))
 
-    def _close_period(self, skipped: int, frames: list[Frame], events: list[Event]) -> Cycle | None:
+    def _close_period(self, skipped: int, frames: list[Frame], events: list[LogEntry]) -> Cycle | None:
         """Account for a period that ends without a good sample, and for deadlines that were missed."""
         cycle = None if self._has_sample else self._cycle(0, False)
         missing = skipped + (0 if self._has_sample else 1)
-        if missing == 0 or self.state is State.OFFLINE:
+        if missing == 0 or self.state is LifeCycleState.OFFLINE:
             return cycle
         self._stale_periods += missing
         limit = self._rig.adc.stale_after_periods
@@ -275,10 +279,10 @@ class Gateway:
         was_up, before = board.is_up, board.nmt_state
         start = board.heartbeat(data[0], now_ns)
         frames: list[Frame] = []
-        events: list[Event] = []
+        events: list[LogEntry] = []
         if board.nmt_state != before:
             events.extend(
-                self._tell(Severity.INFO, board.name, board.describe(), kind=f"{board.name} state").events
+                self._tell(Severity.INFO, board.name, board.describe(), kind=f"{board.name} state").log
             )
         if start is not None:
             if board is self._adc:
@@ -300,15 +304,15 @@ class Gateway:
         text = describe_emergency(emergency.error_code, emergency.error_register, data[3:])
         board.error = text
         frames: list[Frame] = []
-        events: list[Event] = []
-        if self.state is State.FAULT:
+        events: list[LogEntry] = []
+        if self.state is LifeCycleState.FAULT:
             return self._tell(Severity.WARNING, board.name, text)
         self._lose(board.name, text, frames, events)
         return Output(tuple(frames), tuple(events))
 
     def _receive_unusual(self, frame: Frame) -> Output:
         if frame.is_error:
-            if frame.id & BUS_OFF and self.state is not State.FAULT:
+            if frame.id & BUS_OFF and self.state is not LifeCycleState.FAULT:
                 return self._fault("bus", "bus-off: check wiring, termination and bit rate")
             self.error_frames += 1
             return self._tell(Severity.WARNING, "bus", f"error frame {frame}, {self.error_frames} so far")
@@ -317,7 +321,7 @@ class Gateway:
     def _receive_foreign(self, frame: Frame) -> Output:
         """A frame that only the gateway sends: a fault; in state fault reported once an identifier."""
         kind = frame._replace(data=b"")
-        if self.state is State.FAULT and kind in self._reported:
+        if self.state is LifeCycleState.FAULT and kind in self._reported:
             return _NOTHING
         self._reported.add(kind)
         text = f"foreign {OWN_IDENTIFIERS[frame.id]} frame {frame}: another master commands this bus"
@@ -329,13 +333,13 @@ class Gateway:
             return _NOTHING
         self._reported.add(kind)
         text = f"frame {frame} is not in arm.dbc; further ones of its identifier are ignored in silence"
-        return Output(events=(Event(Severity.WARNING, "bus", text),))
+        return Output(log=(LogEntry(Severity.WARNING, "bus", text),))
 
-    def _report_lost(self, lost_before: int, events: list[Event]) -> None:
+    def _report_lost(self, lost_before: int, events: list[LogEntry]) -> None:
         """Samples that the counter missed."""
         lost = self._guard.lost
         text = f"TPDO1_ADC: counter skipped {lost - lost_before}, {lost} so far"
-        events.extend(self._tell(Severity.WARNING, "guard", text, kind="lost").events)
+        events.extend(self._tell(Severity.WARNING, "guard", text, kind="lost").log)
 
     def _reject(self, reason: str) -> Output:
         self.rejected_frames += 1
@@ -343,41 +347,41 @@ class Gateway:
         self._last_rejection = reason
         if is_repeated:
             return _NOTHING  # one report until a good sample comes
-        number = f" ({self.rejected_frames} so far)" if self.rejected_frames > Moderator.FIRST else ""
+        number = f" ({self.rejected_frames} so far)" if self.rejected_frames > LogThrottle.FIRST else ""
         return self._tell(Severity.WARNING, "guard", f"rejected{number}: {reason}")
 
     # Life cycle
 
-    def _lose(self, source: str, reason: str, frames: list[Frame], events: list[Event]) -> None:
+    def _lose(self, source: str, reason: str, frames: list[Frame], events: list[LogEntry]) -> None:
         """A board or its samples are gone: a fault once armed, else offline."""
-        if self.state in (State.ARMED, State.RUNNING):
+        if self.state in (LifeCycleState.ARMED, LifeCycleState.RUNNING):
             fault = self._fault(source, reason)
             frames.extend(fault.frames)
-            events.extend(fault.events)
+            events.extend(fault.log)
             return
-        if self.state is not State.FAULT:
-            events.extend(self._tell(Severity.WARNING, source, reason).events)
-        if self.state is State.READY:
+        if self.state is not LifeCycleState.FAULT:
+            events.extend(self._tell(Severity.WARNING, source, reason).log)
+        if self.state is LifeCycleState.READY:
             self._enter(Trigger.BOARDS_LOST, events)
 
     def _fault(self, source: str, reason: str) -> Output:
         """Latch a fault and centre every valve at once."""
-        if self.state is State.FAULT:
-            return Output(events=(Event(Severity.WARNING, source, reason),))
+        if self.state is LifeCycleState.FAULT:
+            return Output(log=(LogEntry(Severity.WARNING, source, reason),))
         self.fault_reason = f"{source}: {reason}"
-        events = [Event(Severity.FATAL, source, reason)]
+        events = [LogEntry(Severity.FATAL, source, reason)]
         self._enter(Trigger.FAULT, events)
         return Output((self._loops.centre(),), tuple(events))
 
     def _tell(self, severity: Severity, source: str, text: str, kind: str = "") -> Output:
         """What may come with every frame, as far as the moderator lets it; counted by source, or ``kind``."""
-        if not self._moderator.lets(kind or f"{severity} {source}"):
+        if not self._throttle.should_report(kind or f"{severity} {source}"):
             return _NOTHING
-        return Output(events=(Event(severity, source, text),))
+        return Output(log=(LogEntry(severity, source, text),))
 
-    def _enter(self, trigger: Trigger, events: list[Event]) -> None:
+    def _enter(self, trigger: Trigger, events: list[LogEntry]) -> None:
         after = next_state(self.state, trigger)
         assert after is not None, f"{trigger} in {self.state}"
         text = f"{self.state.name.lower()} -> {after.name.lower()} ({trigger.value})"
-        events.append(Event(Severity.INFO, "life cycle", text))
+        events.append(LogEntry(Severity.INFO, "life cycle", text))
         self.state = after

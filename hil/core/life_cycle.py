@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import IntEnum, StrEnum
 
 
-class State(IntEnum):
+class LifeCycleState(IntEnum):
     """States of the gateway. Only RUNNING lets a controller move a valve; elsewhere valves are centred."""
 
     OFFLINE = 0
@@ -35,26 +35,26 @@ class Trigger(StrEnum):
 
 OPERATOR_TRIGGERS = frozenset({Trigger.ARM, Trigger.START, Trigger.STOP, Trigger.DISARM, Trigger.RESET})
 
-TRANSITIONS: dict[tuple[State, Trigger], State] = {
-    (State.OFFLINE, Trigger.BOARDS_UP): State.READY,
-    (State.READY, Trigger.BOARDS_LOST): State.OFFLINE,
-    (State.READY, Trigger.ARM): State.ARMED,
-    (State.ARMED, Trigger.START): State.RUNNING,
-    (State.ARMED, Trigger.DISARM): State.READY,
-    (State.RUNNING, Trigger.STOP): State.ARMED,
-    (State.OFFLINE, Trigger.FAULT): State.FAULT,
-    (State.READY, Trigger.FAULT): State.FAULT,
-    (State.ARMED, Trigger.FAULT): State.FAULT,
-    (State.RUNNING, Trigger.FAULT): State.FAULT,
-    (State.FAULT, Trigger.RESET): State.OFFLINE,
+TRANSITIONS: dict[tuple[LifeCycleState, Trigger], LifeCycleState] = {
+    (LifeCycleState.OFFLINE, Trigger.BOARDS_UP): LifeCycleState.READY,
+    (LifeCycleState.READY, Trigger.BOARDS_LOST): LifeCycleState.OFFLINE,
+    (LifeCycleState.READY, Trigger.ARM): LifeCycleState.ARMED,
+    (LifeCycleState.ARMED, Trigger.START): LifeCycleState.RUNNING,
+    (LifeCycleState.ARMED, Trigger.DISARM): LifeCycleState.READY,
+    (LifeCycleState.RUNNING, Trigger.STOP): LifeCycleState.ARMED,
+    (LifeCycleState.OFFLINE, Trigger.FAULT): LifeCycleState.FAULT,
+    (LifeCycleState.READY, Trigger.FAULT): LifeCycleState.FAULT,
+    (LifeCycleState.ARMED, Trigger.FAULT): LifeCycleState.FAULT,
+    (LifeCycleState.RUNNING, Trigger.FAULT): LifeCycleState.FAULT,
+    (LifeCycleState.FAULT, Trigger.RESET): LifeCycleState.OFFLINE,
 }
 
 
-def next_state(state: State, trigger: Trigger) -> State | None:
+def next_state(state: LifeCycleState, trigger: Trigger) -> LifeCycleState | None:
     """The state after ``trigger``, or None where the table has no such transition."""
     return TRANSITIONS.get((state, trigger))
 
 
-def allowed_triggers(state: State) -> tuple[Trigger, ...]:
+def allowed_triggers(state: LifeCycleState) -> tuple[Trigger, ...]:
     """What an operator may ask for in ``state``."""
     return tuple(t for (s, t) in TRANSITIONS if s is state and t in OPERATOR_TRIGGERS)

@@ -31,7 +31,7 @@ Channel = Annotated[int, msgspec.Meta(ge=1, le=CHANNELS)]
 Volts = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 
 
-class Loop(Document, frozen=True):
+class LoopSettings(Document, frozen=True):
     """The control loop. ``period_s`` is the sample time of every controller, in seconds."""
 
     period_s: Annotated[float, msgspec.Meta(ge=0.001, le=1.0)]
@@ -48,14 +48,14 @@ class Bus(Document, frozen=True):
     channel: str = "sim"
 
 
-class Gateway(Document, frozen=True):
+class GatewaySettings(Document, frozen=True):
     """The gateway as a CANopen node."""
 
     heartbeat_periods: Periods
     """A heartbeat is sent every so many periods."""
 
 
-class Adc(Document, frozen=True):
+class AdcSettings(Document, frozen=True):
     """The potentiometer board, node 0x10."""
 
     protected: bool
@@ -66,7 +66,7 @@ class Adc(Document, frozen=True):
     """So many periods without the board's heartbeat are a fault."""
 
 
-class Dac(Document, frozen=True):
+class DacSettings(Document, frozen=True):
     """The valve board, node 0x20."""
 
     protected: bool
@@ -109,7 +109,7 @@ class Valve(Document, frozen=True):
     """Largest change of the command in volts a second."""
 
 
-class Axis(Document, frozen=True):
+class AxisSettings(Document, frozen=True):
     """One independent SISO loop."""
 
     unit: Literal["m", "rad"]
@@ -127,11 +127,11 @@ class Axis(Document, frozen=True):
 class Rig(Document, frozen=True):
     """The whole rig file. Axes keep the file's order."""
 
-    loop: Loop
-    gateway: Gateway
-    adc: Adc
-    dac: Dac
-    axes: Annotated[dict[str, Axis], msgspec.Meta(min_length=1)]
+    loop: LoopSettings
+    gateway: GatewaySettings
+    adc: AdcSettings
+    dac: DacSettings
+    axes: Annotated[dict[str, AxisSettings], msgspec.Meta(min_length=1)]
     bus: Bus = Bus()
 
 
@@ -184,7 +184,7 @@ def _check_periods(rig: Rig, source: str) -> None:
             )
 
 
-def _check_axis(axis: Axis, where: str) -> None:
+def _check_axis(axis: AxisSettings, where: str) -> None:
     valve, pot = axis.valve, axis.potentiometer
     for part, max_v in (("valve", valve.max_v), ("potentiometer", pot.max_v)):
         if max_v > HIGHEST_WIRE_V:

@@ -12,7 +12,7 @@ from collections import Counter, deque
 from pathlib import Path
 
 from hil.core.errors import RecordingError, RecordingExistsError
-from hil.core.events import Event, Severity
+from hil.core.output import LogEntry, Severity
 from hil.host.child_process import await_end
 from hil.recording.handover import BATCH, BLOCK_HEADER, LOSSLESS, REAL_TIME, index_messages
 
@@ -36,7 +36,7 @@ class RecorderPipe:
         """Why the recorder process no longer takes anything."""
         self.dropped: Counter[int] = Counter()
         """Messages lost on this side, by channel id."""
-        self.news: list[Event] = []
+        self.news: list[LogEntry] = []
         """What the user should read."""
         self._path = path
         self._lossless = lossless
@@ -112,7 +112,7 @@ class RecorderPipe:
             return
         if not self.dropped and self.failure is None:
             text = f"{self._path}: the recorder process falls behind; messages are dropped from here on"
-            self.news.append(Event(Severity.WARNING, "recorder", text))
+            self.news.append(LogEntry(Severity.WARNING, "recorder", text))
         for channel, pairs in index_messages(block, BLOCK_HEADER.size).items():
             self.dropped[channel] += len(pairs) // 2
 
@@ -120,7 +120,7 @@ class RecorderPipe:
         if self.failure is not None:
             return
         self.failure = reason
-        self.news.append(Event(Severity.ERROR, "recorder", f"{self._path}: recording ended: {reason}"))
+        self.news.append(LogEntry(Severity.ERROR, "recorder", f"{self._path}: recording ended: {reason}"))
         for block in self._backlog:
             self._drop(block)
         self._backlog.clear()

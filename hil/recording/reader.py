@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import RecordingError
-from hil.core.events import AxisSignals, Event, Severity
 from hil.core.frames import Frame
+from hil.core.output import AxisSignals, LogEntry, Severity
 from hil.recording.handover import MESSAGE_HEADER, RECORD_HEADER, SEQUENCE_MASK
 from hil.recording.mcap_reader import MESSAGE_FIELDS, McapContents, Rows
 from hil.recording.schemas import AXIS_TOPIC, CDR_HEADER, layout_of
@@ -63,7 +63,7 @@ class EventTold(NamedTuple):
     """The core, or the shell, reported ``event``."""
 
     now_ns: int
-    event: Event
+    event: LogEntry
 
 
 class AxisRecorded(NamedTuple):
@@ -179,9 +179,9 @@ class Recording:
         times_ns: npt.NDArray[np.int64] = rows["log_time"][chosen].astype(np.int64)
         return times_ns - self.epoch_offset_ns
 
-    def events(self) -> list[tuple[int, Event]]:
+    def log(self) -> list[tuple[int, LogEntry]]:
         """What was reported, with its time in ns."""
-        channel = self._contents.channel("/gateway/events").id
+        channel = self._contents.channel("/gateway/log").id
         return [(message.now_ns, _event(message.payload)) for message in self._messages({channel})]
 
     def calls(self) -> Iterator[Call]:
@@ -240,7 +240,7 @@ class Recording:
                 return lambda m: DeadlineCalled(*deadline(m.payload)[:0:-1])
             case "/gateway/operator":
                 return lambda m: Operated(m.now_ns, _string(m.payload, len(CDR_HEADER))[0])
-            case "/gateway/events":
+            case "/gateway/log":
                 return lambda m: EventTold(m.now_ns, _event(m.payload))
             case "/gateway/cycle":
                 cycle = self._struct(topic, "").unpack
@@ -286,11 +286,11 @@ def _frame(values: tuple[Any, ...]) -> Frame:
     return Frame(identifier, data[:length], is_extended, is_remote, is_error)
 
 
-def _event(payload: bytes) -> Event:
+def _event(payload: bytes) -> LogEntry:
     """From a ``rcl_interfaces/msg/Log``: stamp, level, then name and text, each aligned to 4 bytes."""
     source, end = _string(payload, 16)
     text, _ = _string(payload, end + -end % 4)
-    return Event(Severity(payload[12]), source, text)
+    return LogEntry(Severity(payload[12]), source, text)
 
 
 def _string(payload: bytes, start: int) -> tuple[str, int]:

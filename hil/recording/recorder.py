@@ -14,8 +14,8 @@ from typing import NamedTuple
 import msgspec
 
 from hil.core.errors import RecordingError
-from hil.core.events import Cycle, Event
 from hil.core.frames import Frame
+from hil.core.output import Cycle, LogEntry
 from hil.recording import schemas
 from hil.recording.handover import (
     BATCH,
@@ -166,7 +166,7 @@ class Recorder:
             CDR_HEADER, number, deadline_ns, wake_ns, receive_ns, computed_ns, sent_ns, state, fresh,
         )  # fmt: skip
 
-    def event(self, event: Event, now_ns: int) -> None:
+    def log_entry(self, event: LogEntry, now_ns: int) -> None:
         """The core, or the shell, reported ``event``."""
         stamp = divmod(now_ns + self._epoch_offset_ns, _SECOND_NS)
         payload = bytearray(CDR_HEADER) + struct.pack("<iIB3x", *stamp, event.severity)
@@ -180,7 +180,7 @@ class Recorder:
         """Messages dropped so far."""
         return self._pipe.dropped.total()
 
-    def hand_over(self) -> Event | None:
+    def hand_over(self) -> LogEntry | None:
         """Pass on what is large or old enough. Call it once a period, in idle time.
 
         Returns news that the user should read: the first drop, or the end of the recorder process.

@@ -12,12 +12,12 @@ import struct
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
 
 CDR_HEADER = b"\x00\x01\x00\x00"
 """Encapsulation: plain CDR, little endian. Alignment counts from its end."""
 
-_STATES = "\n".join(f"uint8 {state.name}={state.value}" for state in State)
+_STATES = "\n".join(f"uint8 {state.name}={state.value}" for state in LifeCycleState)
 _SEPARATOR = "=" * 80
 _TIME = f"""{_SEPARATOR}
 MSG: builtin_interfaces/Time
@@ -130,7 +130,7 @@ def channels(axes: Sequence[tuple[str, str]], stamp_origin: str) -> tuple[Channe
         Channel("/gateway/deadline", DEADLINE, {}),
         Channel("/gateway/cycle", CYCLE, {}),
         Channel("/gateway/operator", OPERATOR, {}),
-        Channel("/gateway/events", LOG, {}),
+        Channel("/gateway/log", LOG, {}),
         *(Channel(AXIS_TOPIC + name, AXIS_SIGNALS, {"unit": unit}) for name, unit in axes),
     )
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from time import monotonic_ns, sleep
 
 from hil.core.errors import LinkError
-from hil.core.events import Event, Severity
+from hil.core.output import LogEntry, Severity
 from hil.links import Link
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, StopRequest
 from hil.shells.session import Session
@@ -39,7 +39,7 @@ def run(session: Session, link: Link, stop: StopRequest) -> Exception | None:
         except Exception as error:
             text = f"{type(error).__name__}: {error}"
             _end(session, link, Ending.ERROR, f"internal error: {text}")
-            session.note(Event(Severity.FATAL, "hil", f"internal error, the run was ended: {text}"))
+            session.note(LogEntry(Severity.FATAL, "hil", f"internal error, the run was ended: {text}"))
             return error
         if stop.is_set:
             session.plan.end(Ending.INTERRUPTED)
@@ -57,7 +57,7 @@ class _Unreadable:
             return
         self._next = 2 * link.unreadable
         text = f"{link.unreadable} unreadable frames discarded so far: none of classic CAN, or garbled"
-        session.note(Event(Severity.WARNING, "link", text))
+        session.note(LogEntry(Severity.WARNING, "link", text))
 
 
 def _one_step(session: Session, link: Link) -> None:
@@ -89,11 +89,11 @@ def _end(session: Session, link: Link, ending: Ending, reason: str) -> None:
         may_go_on = _attempt(link, lambda: session.on_deadline(monotonic_ns()))
     taken = session.commands_taken
     if taken >= CENTRING_PERIODS:
-        event = Event(Severity.INFO, "link", f"the valves were centred: the command left {taken} times")
+        event = LogEntry(Severity.INFO, "link", f"the valves were centred: the command left {taken} times")
     else:
         text = f"the command that centres the valves left {taken} times, not {CENTRING_PERIODS}"
         watchdog = "the DAC board's watchdog has to centre them (rig: dac.watchdog_periods)"
-        event = Event(Severity.ERROR, "link", f"{text}: {watchdog}")
+        event = LogEntry(Severity.ERROR, "link", f"{text}: {watchdog}")
     session.note(event)
 
 

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 from hil import __version__
 from hil.core.errors import HilError, RecordingError, ReplayMismatchError
-from hil.core.events import AxisSignals, Event, Output
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import Trigger
+from hil.core.output import AxisSignals, LogEntry, Output
 from hil.recording.reader import (
     AxisRecorded,
     CycleRecorded,
@@ -43,7 +43,7 @@ class ReplayReport(NamedTuple):
 
     calls: int
     frames_compared: int
-    events_compared: int
+    log_entries_compared: int
     periods_compared: int
     """Periods whose signals and instants were compared."""
     duration_s: float
@@ -163,7 +163,7 @@ def _answers(output: Output, axes: tuple[str, ...]) -> Iterator[Answer]:
     """What the core gives, in the order in which a session records it."""
     for frame in output.frames:
         yield {"frame": frame}
-    for event in output.events:
+    for event in output.log:
         yield {"event": event}
     if output.cycle is not None:
         number, deadline_ns, wake_ns, receive_ns, state, fresh, signals = output.cycle
@@ -231,7 +231,7 @@ def _words(answer: Answer | None) -> str:
         return "nothing"
     name, value = next(iter(answer.items()))
     match value:
-        case Event(severity, source, text):
+        case LogEntry(severity, source, text):
             return f"{severity.name.lower()} {source}: {text}"
         case Frame():
             return str(value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 
 from hil.core.gateway import Gateway
-from hil.core.life_cycle import State, Trigger
+from hil.core.life_cycle import LifeCycleState, Trigger
 
 CENTRING_PERIODS = 3
 """Periods that centred commands are sent for at the end, so that the board applies them in either mode."""
@@ -68,11 +68,11 @@ class RunPlan:
         self._periods += 1
         if self._last_periods:
             self._last_periods -= 1
-        if gateway.state is State.FAULT:
+        if gateway.state is LifeCycleState.FAULT:
             self.end(Ending.FAULT)
             return None
         if self.ending is not None:
-            return Trigger.STOP if gateway.state is State.RUNNING else None
+            return Trigger.STOP if gateway.state is LifeCycleState.RUNNING else None
         if self._started_at is None:
             return self._bring_up(gateway)
         if self._periods - self._started_at > self._run_periods:
@@ -81,9 +81,9 @@ class RunPlan:
         return None
 
     def _bring_up(self, gateway: Gateway) -> Trigger | None:
-        if gateway.state is State.READY:
+        if gateway.state is LifeCycleState.READY:
             return Trigger.ARM
-        if gateway.state is State.ARMED:
+        if gateway.state is LifeCycleState.ARMED:
             self._started_at = self._periods
             return Trigger.START
         if self._periods > self._bring_up_periods:

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Protocol
 
 from hil.core.errors import LinkError
-from hil.core.events import Cycle, Event, Moderator, Output, Severity
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import Trigger
+from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
 from hil.core.wire.codec import RPDO1_DAC
 from hil.recording.recorder import LINK_FAILED, NOT_SENT, Recorder
 from hil.shells.run_plan import Ending, RunPlan
@@ -18,7 +18,7 @@ from hil.shells.run_plan import Ending, RunPlan
 class Audience(Protocol):
     """Whoever watches a run; must never block."""
 
-    def event(self, event: Event) -> None: ...  # noqa: D102
+    def log(self, event: LogEntry) -> None: ...  # noqa: D102
     def cycle(self, cycle: Cycle, gateway: Gateway) -> None: ...  # noqa: D102
 
 
@@ -47,7 +47,7 @@ class Session:
         self._audience = audience
         self._most_refused = most_refused
         self._refused = self._refused_in_row = 0
-        self._moderator = Moderator()
+        self._throttle = LogThrottle()
         self.commands_taken = 0
         """Valve commands that the bus took, since the run began or ``failed`` was called."""
 
@@ -81,10 +81,10 @@ class Session:
         self._recorder.operated(LINK_FAILED + reason, now_ns)
         self._answer(self.gateway.link_failed(reason), now_ns)
 
-    def note(self, event: Event) -> None:
+    def note(self, event: LogEntry) -> None:
         """Record and show something that the shell has to say."""
-        self._recorder.event(event, self._clock_ns())
-        self._audience.event(event)
+        self._recorder.log_entry(event, self._clock_ns())
+        self._audience.log(event)
 
     def _answer(self, output: Output, now_ns: int) -> None:
         frames, events, cycle = output
@@ -105,17 +105,17 @@ class Session:
             else:
                 recorder.operated(f"{NOT_SENT}{frame}", sent_ns)
         for event in events:
-            recorder.event(event, now_ns)
-            self._audience.event(event)
+            recorder.log_entry(event, now_ns)
+            self._audience.log(event)
         if cycle is not None:
             recorder.cycle(cycle, computed_ns, sent_ns)
             self._audience.cycle(cycle, self.gateway)
             news = recorder.hand_over()
             if news is not None:
-                self._audience.event(news)
-        if self._refused != refused_before and self._moderator.lets("refused"):
+                self._audience.log(news)
+        if self._refused != refused_before and self._throttle.should_report("refused"):
             text = f"the bus took no frame, its queue is full: {self._refused} frames not sent so far"
-            self.note(Event(Severity.WARNING, "link", text))
+            self.note(LogEntry(Severity.WARNING, "link", text))
         if failure is None and self._most_refused is not None and self._refused_in_row >= self._most_refused:
             failure = LinkError(
                 f"{self._refused_in_row} valve commands in a row were not sent, limit {self._most_refused} "

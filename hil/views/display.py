@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.core.events import Cycle, Event
 from hil.core.gateway import Gateway
+from hil.core.output import Cycle, LogEntry
 from hil.views.onlooker import Onlooker
 
 STATUS_PERIODS = 18
@@ -25,7 +25,7 @@ class Display:
         self._began_ns: int | None = None
         self._onlooker.tell({"axes": axes})
 
-    def event(self, event: Event) -> None:
+    def log(self, event: LogEntry) -> None:
         """Show an event."""
         self._onlooker.tell({"event": [int(event.severity), event.source, event.text]})
 

@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from hil.core.errors import RecordingError
-from hil.core.events import Event, Severity
+from hil.core.output import LogEntry, Severity
 from hil.core.wire.codec import TPDO1_ADC
 from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
@@ -47,7 +47,7 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
         raise RecordingError(f"{recording.path}: holds no period, so there is nothing to draw")
     start_ns = _start_ns(timing, recording.state_names)
     stays = _stays(timing, recording.state_names, start_ns)
-    faults = [(now_ns, event) for now_ns, event in recording.events() if event.severity >= Severity.FATAL]
+    faults = [(now_ns, event) for now_ns, event in recording.log() if event.severity >= Severity.FATAL]
     units = {name: recording.axes[name] for name in axes or recording.axes}
     figure = Figure(figsize=(PANEL_WIDTH_IN * len(units), HEIGHT_IN), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
@@ -135,7 +135,7 @@ def _mark_events(upper: Axes, lower: Axes, marks: list[tuple[float, str]]) -> No
         )  # fmt: skip
 
 
-def _fault_text(fault: Event) -> str:
+def _fault_text(fault: LogEntry) -> str:
     return f"fault: {fault.source}: {fault.text}"
 
 

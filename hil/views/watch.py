@@ -9,7 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
-from hil.core.events import Severity
+from hil.core.output import Severity
 from hil.views.onlooker import messages
 
 STYLES = {

@@ -13,7 +13,7 @@ from support.arm_bench import PERIOD_S, identify, prbs
 
 import firmware_sim.arm
 from hil.cli import main
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
 from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
@@ -21,7 +21,7 @@ from hil.shells.replay import verify
 
 def running(recording: Recording, axis: str) -> Rows:
     rows = recording.axis(axis)
-    return rows[rows["state"] == State.RUNNING]
+    return rows[rows["state"] == LifeCycleState.RUNNING]
 
 
 def run(path: Path, *arguments: str) -> Recording:

@@ -18,14 +18,14 @@ from support.drawn_curves import drawn_curves
 from design.closed_loop.comparison import Candidate
 from design.models.plant import paper_plant, read_plant
 from design.synthesis.design_file import read_design
-from design.synthesis.procedure import Design, carry_out
+from design.synthesis.procedure import Design, design_controller
 from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.cli import main
 from hil.core.control_law import ControlLaw
-from hil.core.events import Cycle, Event
 from hil.core.gateway import Gateway
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
+from hil.core.output import Cycle, LogEntry
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
 from hil.shells.lockstep import Lockstep
@@ -76,12 +76,12 @@ class Running:
         self.r: list[float] = []
         self.y: list[float] = []
 
-    def event(self, event: Event) -> None:
+    def log(self, event: LogEntry) -> None:
         """See Audience."""
 
     def cycle(self, cycle: Cycle, _gateway: Gateway) -> None:
         """See Audience."""
-        if cycle.state is State.RUNNING and cycle.fresh:
+        if cycle.state is LifeCycleState.RUNNING and cycle.fresh:
             self.r.append(cycle.axes[0].setpoint)
             self.y.append(cycle.axes[0].position)
 
@@ -107,7 +107,7 @@ def test_design_for_the_arms_axis_does_on_the_arm_what_the_report_says(
     monkeypatch.chdir(tmp_path)
     assert main(["design", "vertical"]) == 0
     text = resources.files("design.models").joinpath("plants/vertical.json").read_text()
-    reported = carry_out(read_design("", "design.toml"), read_plant(text, "vertical")).measures[0]
+    reported = design_controller(read_design("", "design.toml"), read_plant(text, "vertical")).measures[0]
     settling_s = []
     for size in ("0.1", "-0.1"):
         asked = ["--controller", "vertical=designs/vertical/controller.json"]
@@ -190,7 +190,7 @@ def test_lockstep_run_is_the_drawn_response_within_quantisation(written: Path, n
 
 @cache
 def default_design() -> Design:
-    return carry_out(read_design("", "design.toml"), paper_plant())
+    return design_controller(read_design("", "design.toml"), paper_plant())
 
 
 def candidate_of(design: Design, name: str) -> Candidate:
@@ -229,7 +229,7 @@ def test_law_stepped_by_hand_is_the_computed_response(structure: str) -> None:
     """To 1e-9, for the designed controller of each structure and every controller it is compared with."""
     text = "[search]\nweight_evaluations = 500\ncontroller_evaluations = 2000\n"
     text += f'[controller]\nstructure = "{structure}"\n{STRUCTURES[structure]}\n'
-    design = carry_out(read_design(text, "design.toml"), paper_plant())
+    design = design_controller(read_design(text, "design.toml"), paper_plant())
     setup = load_setup(None, {}, {})
     for candidate in design.candidates:
         expected = design.problem.step(candidate, 400 * PERIOD_S).y[0]
@@ -241,7 +241,7 @@ def test_law_stepped_by_hand_is_the_computed_response(structure: str) -> None:
 def test_other_delays(delay: int) -> None:
     text = f"[loop]\ndelay_samples = {delay}\n"
     text += "[search]\nweight_evaluations = 500\ncontroller_evaluations = 1000\n"
-    design = carry_out(read_design(text, "design.toml"), paper_plant())
+    design = design_controller(read_design(text, "design.toml"), paper_plant())
     expected = design.problem.step(design.designed, 300 * PERIOD_S).y[0]
     positions = stepped_by_hand(design, design.designed, load_setup(None, {}, {}), len(expected))
     np.testing.assert_allclose(positions, expected, rtol=0, atol=1e-9)

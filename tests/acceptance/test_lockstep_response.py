@@ -9,9 +9,9 @@ import pytest
 from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.control_law import ControlLaw, realise
-from hil.core.events import Cycle, Event
 from hil.core.frames import Frame
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
+from hil.core.output import Cycle, LogEntry
 from hil.shells.lockstep import Lockstep
 from hil.shells.run_plan import Ending, RunPlan, StopRequest
 from hil.shells.run_setup import RunSetup, load_setup, setup_from_texts
@@ -28,10 +28,10 @@ class Cycles:
         self.running: list[Cycle] = []
 
     def cycle(self, cycle: Cycle, *_rest: object) -> None:
-        if cycle.state is State.RUNNING and (not self.running or self.running[-1] is not cycle):
+        if cycle.state is LifeCycleState.RUNNING and (not self.running or self.running[-1] is not cycle):
             self.running.append(cycle)
 
-    def event(self, _event: Event, _now_ns: int = 0) -> None: ...
+    def log(self, _event: LogEntry, _now_ns: int = 0) -> None: ...
     def frame_received(self, _frame: Frame, _now_ns: int, _stamp_ns: int) -> None: ...
     def frame_sent(self, _frame: Frame, _now_ns: int) -> None: ...
     def deadline_called(self, _deadline_ns: int, _now_ns: int) -> None: ...

@@ -116,7 +116,7 @@ def test_rewritten_recording_still_verifies(recorded: Path, tmp_path: Path) -> N
     copy = rewritten(recorded, tmp_path / "copy.mcap")
     report = verify(Recording(copy))
     assert report == verify(Recording(recorded))
-    assert report.events_compared == len(Recording(recorded).events())
+    assert report.log_entries_compared == len(Recording(recorded).log())
     assert report.periods_compared == len(Recording(recorded).timing())
 
 
@@ -188,7 +188,7 @@ def test_a_changed_event_is_found(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], part: str
 ) -> None:
     def change(message: Message) -> None:
-        if message.topic == "/gateway/events" and b"armed -> running" in message.data:
+        if message.topic == "/gateway/log" and b"armed -> running" in message.data:
             place = {"level": 12, "name": 21, "text": message.data.index(b"running")}[part]
             message.data[place] ^= 20 ^ 30 if part == "level" else 0x01
 
@@ -247,7 +247,7 @@ def test_a_message_that_cannot_be_read_is_told(
     def change(data: bytearray) -> None:
         data[place] = value
 
-    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/events", 2, change))
+    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/log", 2, change))
     assert main(["replay", "--verify", str(changed)]) == 2
     told = capsys.readouterr().err
     assert f"refused    {changed}: message " in told

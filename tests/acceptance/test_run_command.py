@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from hil.cli import launch, main
-from hil.core.events import Event, Severity
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
+from hil.core.output import LogEntry, Severity
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
 from hil.views.summary import StepResponse, summarise
@@ -32,7 +32,9 @@ def test_simulated_rig_in_real_time(tmp_path: Path) -> None:
     assert recording.complete
     assert verify(recording).frames_compared > 200
     vertical = recording.axis("vertical")
-    assert vertical["position"][vertical["state"] == State.RUNNING][-1] == pytest.approx(0.05, abs=0.002)
+    assert vertical["position"][vertical["state"] == LifeCycleState.RUNNING][-1] == pytest.approx(
+        0.05, abs=0.002
+    )
     assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     assert set(recording.metadata["rights"]) >= {"SCHED_FIFO", "memory lock"}
 
@@ -53,7 +55,7 @@ def test_signals_end_the_run_with_centred_valves(tmp_path: Path, number: signal.
     recording = Recording(path)
     assert recording.metadata["ending"]["reason"] == "interrupted"
     last = recording.axis("vertical")[-1]
-    assert last["state"] == State.ARMED
+    assert last["state"] == LifeCycleState.ARMED
     assert last["command_v"] == 5.0
 
 
@@ -132,9 +134,9 @@ def test_what_is_planned_for_the_arm_is_recorded_and_what_comes_too_late_is_a_wa
     events = ["--event", "payload:1@0.2", "--event", "payload:2@1"]
     assert main(["run", "--lockstep", *events, "--duration", "1", "--record", str(path)]) == 0
     recording = Recording(path)
-    assert [event for _, event in recording.events() if event.source == "arm"] == [
-        Event(Severity.INFO, "arm", "planned: payload:1@0.2 (s from the first sample on)"),
-        Event(Severity.WARNING, "arm", "payload:2@1 lies after the end of the run, 1 s"),
+    assert [event for _, event in recording.log() if event.source == "arm"] == [
+        LogEntry(Severity.INFO, "arm", "planned: payload:1@0.2 (s from the first sample on)"),
+        LogEntry(Severity.WARNING, "arm", "payload:2@1 lies after the end of the run, 1 s"),
     ]
     assert recording.metadata["arm events"] == {"payload:1@0.2": "0.2", "payload:2@1": "1.0"}
     assert verify(recording).complete
@@ -183,7 +185,7 @@ def test_an_internal_error_ends_the_run_and_is_told_without_a_traceback(
     recording = Recording(path)
     assert "ZeroDivisionError" in recording.metadata["error"]["traceback"]
     assert recording.metadata["ending"]["reason"] == "internal error"
-    assert recording.events()[-1][1].severity is Severity.FATAL
+    assert recording.log()[-1][1].severity is Severity.FATAL
     assert verify(recording).complete
 
 

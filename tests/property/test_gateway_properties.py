@@ -28,11 +28,11 @@ from support.gateway_bench import (
 )
 
 from firmware_sim.boards.faults import AdcFaults, DacFaults
-from hil.core.controller_file import Law, Pid, TransferFunction
-from hil.core.events import Output
+from hil.core.controller_file import Law, PidLaw, TransferFunctionLaw
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
-from hil.core.life_cycle import TRANSITIONS, State, Trigger
+from hil.core.life_cycle import TRANSITIONS, LifeCycleState, Trigger
+from hil.core.output import Output
 from hil.core.rig import Rig
 from hil.core.sample_guard import FIRST_ANSWER_PERIODS, UNCOUNTED_ANSWER_PERIODS
 from hil.core.wire import codec
@@ -42,10 +42,10 @@ COUNT_V = 10.0 / 32768
 PERIOD_NS = 11_200_000
 
 LAWS: tuple[Law, ...] = (
-    Pid(kp=20.0, ki=50.0, kd=1.0, tau_d=0.02),
-    Pid(kp=-1e6, ki=0.0),
-    TransferFunction(num=[1e9], den=[1.0, -1e9]),  # reaches infinity
-    TransferFunction(num=[1.0, 0.0], den=[1.0, 1.0]),
+    PidLaw(kp=20.0, ki=50.0, kd=1.0, tau_d=0.02),
+    PidLaw(kp=-1e6, ki=0.0),
+    TransferFunctionLaw(num=[1e9], den=[1.0, -1e9]),  # reaches infinity
+    TransferFunctionLaw(num=[1.0, 0.0], den=[1.0, 1.0]),
 )
 RIGS = tuple(
     make_rig({"adc.protected": adc, "dac.protected": dac} | narrow, axes)
@@ -94,7 +94,7 @@ class LinkFailure(NamedTuple):
 class BringUp(NamedTuple):
     """What it takes to run, so that running is not a rare state."""
 
-    until: State
+    until: LifeCycleState
 
 
 class Periods(NamedTuple):
@@ -130,7 +130,9 @@ position = st.integers(328, 32440)
 good_periods = st.builds(
     Periods, st.lists(st.tuples(position, position, position), min_size=1, max_size=6).map(tuple)
 )
-bring_ups = st.builds(BringUp, st.sampled_from([State.ARMED, State.RUNNING, State.RUNNING]))
+bring_ups = st.builds(
+    BringUp, st.sampled_from([LifeCycleState.ARMED, LifeCycleState.RUNNING, LifeCycleState.RUNNING])
+)
 steps: st.SearchStrategy[Step] = st.one_of(
     good_periods,
     good_periods,
@@ -178,11 +180,11 @@ class Subject:
             case BringUp(until):
                 self.bring_up(until)
 
-    def bring_up(self, until: State) -> None:
+    def bring_up(self, until: LifeCycleState) -> None:
         self.operate(Trigger.RESET)
         self.period(Sample((16384, 16384, 16384), 0, 0, "no"))
         self.operate(Trigger.ARM)
-        if until is State.RUNNING:
+        if until is LifeCycleState.RUNNING:
             self.operate(Trigger.START)
 
     def period(self, sample: Sample) -> None:
@@ -206,7 +208,7 @@ class Subject:
         # Some periods may pass without SYNC, but never one whose command has to be applied.
         has_sync = SYNC in output.frames
         assert output.frames.count(SYNC) <= 1
-        assert has_sync or (state is self.state_before and state is not State.FAULT)
+        assert has_sync or (state is self.state_before and state is not LifeCycleState.FAULT)
         is_very_late = now_ns > due_ns and (now_ns - due_ns) % PERIOD_NS > PERIOD_NS // 2
         if not is_very_late:
             self.silent_periods = 0 if has_sync else self.silent_periods + 1
@@ -215,16 +217,20 @@ class Subject:
         # The next one lies on the same grid, ahead, and at most a period away from the present or the due.
         assert (self.core.next_deadline_ns - due_ns) % PERIOD_NS == 0
         assert max(now_ns, due_ns) < self.core.next_deadline_ns <= max(now_ns, due_ns) + PERIOD_NS
-        if self.core.state is State.RUNNING:
+        if self.core.state is LifeCycleState.RUNNING:
             assert commands(output) == []
         else:
-            assert len(commands(output)) == 1 + any(event.severity == 50 for event in output.events)
+            assert len(commands(output)) == 1 + any(event.severity == 50 for event in output.log)
 
     def receive(self, frame: Frame) -> None:
         now_ns = self.now_ns
         before = self.core.state
         output = self.call(lambda core: core.receive(frame, now_ns))
-        if before is State.RUNNING and self.core.state is State.RUNNING and commands(output):
+        if (
+            before is LifeCycleState.RUNNING
+            and self.core.state is LifeCycleState.RUNNING
+            and commands(output)
+        ):
             assert frame.id == codec.TPDO1_ADC
             assert output.cycle is not None and output.cycle.fresh
 
@@ -242,10 +248,10 @@ class Subject:
                 self.check_command(frame)
         return output
 
-    def check_life_cycle(self, before: State, output: Output, operated: Trigger | None) -> None:
+    def check_life_cycle(self, before: LifeCycleState, output: Output, operated: Trigger | None) -> None:
         """Every change is in the table and told; only an operator arms, starts and resets."""
         state = before
-        for event in output.events:
+        for event in output.log:
             if event.source != "life cycle" or "->" not in event.text:
                 continue
             told_before, _, rest = event.text.partition(" -> ")
@@ -257,7 +263,7 @@ class Subject:
             if trigger in (Trigger.ARM, Trigger.START, Trigger.RESET, Trigger.STOP, Trigger.DISARM):
                 assert trigger is operated
         assert state is self.core.state
-        assert (self.core.fault_reason is not None) == (state is State.FAULT)
+        assert (self.core.fault_reason is not None) == (state is LifeCycleState.FAULT)
 
     def check_command(self, frame: Frame) -> None:
         """Within the limits, at the rate, centred unless running, counted, protected."""
@@ -269,7 +275,7 @@ class Subject:
             volts[valve.channel - 1] = 5.0
             assert valve.min_v <= sent <= valve.max_v
             is_centred = abs(sent - valve.centre_v) <= COUNT_V / 2
-            assert is_centred or self.core.state is State.RUNNING
+            assert is_centred or self.core.state is LifeCycleState.RUNNING
             step = abs(sent - self.sent_v[name])
             assert is_centred or step <= valve.max_rate_v_s * self.rig.loop.period_s + COUNT_V
             self.sent_v[name] = sent
@@ -392,7 +398,7 @@ def test_on_a_bus_that_loses_spoils_and_swaps_frames_the_valves_are_safe(
             board = bench.boards.adc if isinstance(fault, AdcFaults) else bench.boards.dac
             board.faults = fault  # type: ignore[assignment]
         bench.period()
-        in_fault = in_fault + 1 if bench.gateway.state is State.FAULT else 0
+        in_fault = in_fault + 1 if bench.gateway.state is LifeCycleState.FAULT else 0
         for axis in rig.axes.values():
             pin_v = bench.boards.dac.valve_v[axis.valve.channel - 1]
             assert axis.valve.min_v - 0.01 <= pin_v <= axis.valve.max_v  # the converter's 12 bits

@@ -15,7 +15,7 @@ from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.conditions import AnyChange
 from firmware_sim.arm.parameters import ArmParameters, shipped_arm
 from hil.core.control_law import ControlLaw
-from hil.core.controller_file import Pid
+from hil.core.controller_file import PidLaw
 
 PERIOD_S = 0.0112
 PERIOD_NS = 11_200_000
@@ -24,7 +24,7 @@ COUNTS = 4096
 Array = NDArray[np.float64]
 Setpoint = Callable[[float], float]
 
-PPID = Pid(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162)
+PPID = PidLaw(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162)
 """Eq. (20)."""
 
 
@@ -151,7 +151,9 @@ class Track(NamedTuple):
     output_v: Array
 
 
-def close_loops(bench: Bench, laws: Sequence[Pid], setpoints: Sequence[Setpoint], duration_s: float) -> Track:
+def close_loops(
+    bench: Bench, laws: Sequence[PidLaw], setpoints: Sequence[Setpoint], duration_s: float
+) -> Track:
     """Independent loops, the actuation one period late as with boards that apply at SYNC."""
     controllers = [ControlLaw(law, PERIOD_S) for law in laws]
     waiting = [0.0, 0.0, 0.0]

@@ -7,7 +7,7 @@ from functools import cache
 from design.models.plant import Plant, paper_plant
 from design.paper.reproduction import Reproduction, reproduce
 from design.synthesis.design_file import read_design
-from design.synthesis.procedure import Design, carry_out
+from design.synthesis.procedure import Design, design_controller
 
 PERIOD_S = 0.0112
 
@@ -34,13 +34,13 @@ REVERSED = Plant(
 @cache
 def sampled_design() -> Design:
     """The default: the paper's plant in the rig's loop, and two further plants."""
-    return carry_out(read_design("", "design.toml"), paper_plant(), [HEAVIER, REVERSED])
+    return design_controller(read_design("", "design.toml"), paper_plant(), [HEAVIER, REVERSED])
 
 
 @cache
 def continuous_design() -> Design:
     """The same for the continuous loop."""
-    return carry_out(read_design('[loop]\ndesign = "continuous"\n', "design.toml"), paper_plant())
+    return design_controller(read_design('[loop]\ndesign = "continuous"\n', "design.toml"), paper_plant())
 
 
 @cache

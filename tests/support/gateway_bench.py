@@ -15,11 +15,11 @@ from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.plants.plant import Plant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.control_law import ControlLaw
-from hil.core.controller_file import Law, Pid
-from hil.core.events import Cycle, Event, Output, Severity
+from hil.core.controller_file import Law, PidLaw
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
-from hil.core.life_cycle import State, Trigger
+from hil.core.life_cycle import LifeCycleState, Trigger
+from hil.core.output import Cycle, LogEntry, Output, Severity
 from hil.core.rig import Rig, read_rig
 from hil.core.sample_guard import FIRST_ANSWER_PERIODS
 from hil.core.setpoints import parse_setpoint
@@ -95,7 +95,7 @@ def commands_v(frame: Frame) -> tuple[float, float, float]:
     return codec.decode_rpdo1_dac((frame.data + b"\0\0")[:8])[:3]
 
 
-PROPORTIONAL = Pid(kp=20.0, ki=0.0)
+PROPORTIONAL = PidLaw(kp=20.0, ki=0.0)
 
 
 def make_gateway(
@@ -120,13 +120,13 @@ class Told:
 
     def __init__(self) -> None:
         self.frames: list[Frame] = []
-        self.events: list[Event] = []
+        self.events: list[LogEntry] = []
         self.cycles: list[Cycle] = []
 
     def add(self, output: Output) -> Output:
         """Keep ``output``; returns it."""
         self.frames += output.frames
-        self.events += output.events
+        self.events += output.log
         if output.cycle is not None:
             self.cycles.append(output.cycle)
         return output
@@ -137,7 +137,7 @@ class Told:
 
     def texts(self) -> list[str]:
         """Events as ``source: text``."""
-        return texts(Output(events=tuple(self.events)))
+        return texts(Output(log=tuple(self.events)))
 
 
 class HandGateway:
@@ -153,7 +153,7 @@ class HandGateway:
         self.volts: Sequence[float] = (5.0, 5.0, 5.0)
 
     @property
-    def state(self) -> State:
+    def state(self) -> LifeCycleState:
         """The core's state."""
         return self.core.state
 
@@ -192,19 +192,19 @@ class HandGateway:
         """An operator's trigger, now."""
         return self.told.add(self.core.operate(trigger, self.now_ns))
 
-    def to(self, state: State) -> HandGateway:
+    def to(self, state: LifeCycleState) -> HandGateway:
         """From offline to ``state`` by the shortest way."""
-        if state is State.OFFLINE:
+        if state is LifeCycleState.OFFLINE:
             return self
-        if state is State.FAULT:
+        if state is LifeCycleState.FAULT:
             self.told.add(self.core.link_failed("test"))
             return self
         for _ in range(FIRST_ANSWER_PERIODS + 1):
-            if self.state is State.OFFLINE:
+            if self.state is LifeCycleState.OFFLINE:
                 self.period()
-        if state is not State.READY:
+        if state is not LifeCycleState.READY:
             self.operate(Trigger.ARM)
-        if state is State.RUNNING:
+        if state is LifeCycleState.RUNNING:
             self.operate(Trigger.START)
         assert self.state is state
         return self
@@ -214,7 +214,7 @@ class HandGateway:
             self.told.add(output)
         return Output(
             tuple(frame for output in outputs for frame in output.frames),
-            tuple(event for output in outputs for event in output.events),
+            tuple(event for output in outputs for event in output.log),
             outputs[-1].cycle if outputs else None,
         )
 
@@ -261,11 +261,11 @@ class Bench:
         """Bring the boards up, arm and start; the next sample is controlled."""
         for _ in range(20):
             self.period()
-            if self.gateway.state is State.READY:
+            if self.gateway.state is LifeCycleState.READY:
                 break
         self.operate(Trigger.ARM)
         self.operate(Trigger.START)
-        assert self.gateway.state is State.RUNNING
+        assert self.gateway.state is LifeCycleState.RUNNING
         return self
 
     def _carry(self, to_boards: Sequence[Frame], to_gateway: Sequence[Frame]) -> None:
@@ -277,19 +277,19 @@ class Bench:
             incoming = list(self.boards.receive(outgoing.pop(0), self.now_ns)) if outgoing else []
 
 
-def hand(state: State = State.OFFLINE, **changes: str) -> HandGateway:
+def hand(state: LifeCycleState = LifeCycleState.OFFLINE, **changes: str) -> HandGateway:
     """A gateway of the changed rig (``__`` for the dots of a key) in ``state``."""
     return HandGateway(make_rig({key.replace("__", "."): text for key, text in changes.items()})).to(state)
 
 
 def texts(output: Output) -> list[str]:
     """Events as ``source: text``."""
-    return [f"{event.source}: {event.text}" for event in output.events]
+    return [f"{event.source}: {event.text}" for event in output.log]
 
 
 def faults(output: Output) -> list[str]:
     """Faults as ``source: text``."""
-    return [f"{e.source}: {e.text}" for e in output.events if e.severity is Severity.FATAL]
+    return [f"{e.source}: {e.text}" for e in output.log if e.severity is Severity.FATAL]
 
 
 def commands(output: Output) -> list[tuple[float, float, float]]:

@@ -12,9 +12,9 @@ from unittest import mock
 
 import msgspec
 
-from hil.core.events import AxisSignals, Cycle, Event, Severity
 from hil.core.frames import Frame
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
+from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
 from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, RunHeader
 from hil.recording.mcap_writer import McapWriter
 from hil.recording.recorder import Recorder
@@ -70,12 +70,12 @@ def record_periods(
     signals: Signals = TENTH_STEP,
     *,
     first: int = 0,
-    state: State = State.RUNNING,
+    state: LifeCycleState = LifeCycleState.RUNNING,
     axes: int = len(AXES),
     lateness_ns: Callable[[int], int] = lambda number: 100_000,
     response_ns: Callable[[int], int] = lambda number: 400_000,
     sync_ns: int = 0,
-) -> list[Event]:
+) -> list[LogEntry]:
     """Report periods as a live shell does, all axes with the same signals; returns the recorder's news.
 
     ``lateness_ns``: deadline to wake-up; ``sync_ns``, ``response_ns``: from there to SYNC, to the command.
@@ -107,11 +107,11 @@ def record_run(
     with in_memory(path):
         recorder = Recorder(path, header, lossless=True)
     recorder.operated("start", START_NS - 4 * PERIOD_NS)
-    record_periods(recorder, 3, lambda t: CENTRED, first=-3, state=State.ARMED)
-    recorder.event(Event(Severity.INFO, "life cycle", "armed -> running (start)"), START_NS)
+    record_periods(recorder, 3, lambda t: CENTRED, first=-3, state=LifeCycleState.ARMED)
+    recorder.log_entry(LogEntry(Severity.INFO, "life cycle", "armed -> running (start)"), START_NS)
     record_periods(recorder, periods, signals)
     recorder.operated("stop", START_NS + periods * PERIOD_NS)
-    record_periods(recorder, 3, lambda t: CENTRED, first=periods, state=State.ARMED)
+    record_periods(recorder, 3, lambda t: CENTRED, first=periods, state=LifeCycleState.ARMED)
     recorder.close({"ending": {"reason": "completed"}})
 
 
@@ -128,7 +128,7 @@ class _WriterPipe:
 
     def __init__(self, path: Path, lossless: bool) -> None:
         self.dropped: Counter[int] = Counter()
-        self.news: list[Event] = []
+        self.news: list[LogEntry] = []
         self._path = path
         self._written: list[bytes] = []
 

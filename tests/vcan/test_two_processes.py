@@ -22,8 +22,8 @@ from support.patient_rig import STALE_PERIODS, WATCHDOG_PERIODS, write_patient_r
 from firmware_sim.boards.codec import Converter, decode_values
 from firmware_sim.plants.linear_plant import LinearPlant
 from hil.core.board_watch import NMT_START
-from hil.core.events import Severity
 from hil.core.gateway import ADC_NODE, OWN_IDENTIFIERS
+from hil.core.output import Severity
 from hil.core.rig import read_rig
 from hil.core.wire import codec
 from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Recording
@@ -237,7 +237,7 @@ def test_killed_boards_fault_the_gateway(
         os.kill(boards.pid, signal.SIGKILL)
         assert run.wait(timeout=TIMEOUT_S) == 1
     recording = Recording(path)
-    faults = [(now_ns, event) for now_ns, event in recording.events() if event.severity is Severity.FATAL]
+    faults = [(now_ns, event) for now_ns, event in recording.log() if event.severity is Severity.FATAL]
     assert len(faults) == 1
     now_ns, fault = faults[0]
     assert fault.source == "adc"

@@ -20,10 +20,10 @@ from design.models.plant import paper_plant
 from design.paper import claims as paper_claims
 from design.paper import reproduction as paper
 from design.synthesis.design_file import example_text
-from design.synthesis.fixed_structure import procedure
+from design.synthesis import procedure
 from design.synthesis.structures import STRUCTURES
 from hil.cli import main
-from hil.core.controller_file import Pid, check_controller_fits, read_controller
+from hil.core.controller_file import PidLaw, check_controller_fits, read_controller
 from hil.core.documents import to_json
 from hil.shells.run_setup import load_setup
 
@@ -111,7 +111,7 @@ def test_structure_with_its_own_boxes(here: Path, short: str) -> None:
     Path(short).write_text(SHORT + "[controller.box]\ntau_d = { low = 0.02, high = 1.0 }\n")
     assert main(["design", "--design", short, "--structure", "pi", "--out", "out"]) == 0
     law = read_controller(Path("out/controller.json").read_text(), "c").law
-    assert isinstance(law, Pid)
+    assert isinstance(law, PidLaw)
     assert law.kd == 0.0
     assert not Path("out/pi.json").exists(), "the PI is what was designed"
 
@@ -168,7 +168,7 @@ def test_an_unstable_design_is_not_written(
     design = sampled_design()
     measures = (replace(design.measures[0], eps_sampled=0.0), *design.measures[1:])
     unstable = replace(design, measures=measures, guarantees=())
-    monkeypatch.setattr(procedure, "carry_out", lambda *_: unstable)
+    monkeypatch.setattr(procedure, "design_controller", lambda *_: unstable)
     assert main(["design", "--out", "out"]) == 1
     said = capsys.readouterr().out
     assert "not written, unstable in the rig's loop: PID (designed)" in said
@@ -191,7 +191,7 @@ def test_what_is_not_of_the_same_plant_is_left_as_it_is_and_told_before_the_sear
     here: Path, short: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["design", write_plant(here, name="a <b>"), "--design", short]) == 0
-    monkeypatch.setattr(procedure, "carry_out", None)
+    monkeypatch.setattr(procedure, "design_controller", None)
     monkeypatch.setattr(paper, "reproduce", None)
     (here / "mine").mkdir()
     (here / "mine" / "controller.json").write_text("{}")
@@ -340,7 +340,7 @@ def test_a_reversed_plant_can_be_designed_for_with_boxes_below_0(here: Path) -> 
     )
     assert main(["design", plant, "--design", "d.toml", "--out", "out"]) == 0
     law = read_controller(Path("out/controller.json").read_text(), "c").law
-    assert isinstance(law, Pid)
+    assert isinstance(law, PidLaw)
     assert law.kp == pytest.approx(-10.08, abs=0.1)
     assert Path("out/zn.json").exists(), "the ultimate gain is negative too"
 

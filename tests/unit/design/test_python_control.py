@@ -19,7 +19,7 @@ from design.errors import DesignError
 from design.models.plant import Plant, Sampling, paper_plant, read_plant
 from design.output.controller_files import controller_files
 from design.python_control import controller_to_control, plant_from_control, plant_to_control
-from hil.core.controller_file import Pid, read_controller
+from hil.core.controller_file import PidLaw, read_controller
 from hil.core.errors import DocumentError, HilError
 
 SAMPLING = Sampling(PERIOD_S, 1)
@@ -114,7 +114,7 @@ def test_no_feedback_becomes_an_algebraic_loop(delay_samples: int) -> None:
     )
     G = plant_to_control(plant, Sampling(PERIOD_S, delay_samples))
     assert G.D[0, 0] == 0.0
-    law = msgspec.structs.replace(read_controller(FILES["controller"], "c"), law=Pid(kp=0.1, ki=0.1))
+    law = msgspec.structs.replace(read_controller(FILES["controller"], "c"), law=PidLaw(kp=0.1, ki=0.1))
     loop = control.interconnect([G, controller_to_control(law)], inputs="r", outputs="y")
     assert loop.nstates == 3 + delay_samples
     biproper = msgspec.structs.replace(plant, num=[1.0, 0.0, 8.0])
@@ -123,7 +123,7 @@ def test_no_feedback_becomes_an_algebraic_loop(delay_samples: int) -> None:
 
 def test_setpoint_weights_cross_too() -> None:
     file = read_controller(FILES["controller"], "c")
-    pid = Pid(kp=3.0, ki=2.0, kd=0.1, tau_d=0.05, b=0.4, c=0.0)
+    pid = PidLaw(kp=3.0, ki=2.0, kd=0.1, tau_d=0.05, b=0.4, c=0.0)
     law = controller_to_control(msgspec.structs.replace(file, law=pid))
     assert (law.input_labels, law.output_labels, law.dt) == (["r", "y"], ["u"], PERIOD_S)
     first = control.step_response(law, PERIOD_S * np.arange(3.0)).outputs[0, :, 0]

@@ -15,7 +15,7 @@ from design.robustness.central_controller import central_controllers, optimal_ma
 from design.robustness.loop_shaping import shaped
 from design.synthesis.design_file import read_design
 from design.synthesis.fixed_structure import synthesise
-from design.synthesis.procedure import carry_out
+from design.synthesis.procedure import design_controller
 from design.synthesis.structures import STRUCTURES
 from design.synthesis.weight_selection import select_weight
 
@@ -88,7 +88,7 @@ def test_a_hidden_unstable_mode_is_no_fault_of_the_specifications(num: list[floa
 
 def test_a_margin_that_no_controller_exceeds_is_not_blamed_on_the_structure() -> None:
     short = "[search]\ncontroller_evaluations = 3000\n"
-    design = carry_out(read_design(short, "d.toml"), plant([-1.0, 2.0], [1.0, 3.0, 2.0]))
+    design = design_controller(read_design(short, "d.toml"), plant([-1.0, 2.0], [1.0, 3.0, 2.0]))
     assert design.problem.eps_opt > 0.25 > design.eps > 0.9 * design.problem.eps_opt
     (warning,) = (w for w in warnings(design) if "0.25" in w)
     assert "no controller has more than" in warning

@@ -20,7 +20,7 @@ from design.synthesis.baselines import (
     ultimate_cycle,
     ziegler_nichols,
 )
-from hil.core.controller_file import Pid, read_controller
+from hil.core.controller_file import PidLaw, read_controller
 from hil.shells.run_setup import SHIPPED_CONTROLLERS
 
 PERIOD_S = 0.0112
@@ -108,7 +108,7 @@ def test_loss_of_stability_without_oscillation_is_no_cycle() -> None:
 def test_shipped_controllers_come_out(name: str, rule: object) -> None:
     """To the digits that Ku 74.76 and Pu 0.4527 were rounded to when the files were written."""
     shipped = read_controller((SHIPPED_CONTROLLERS / f"{name}.json").read_text(), name).law
-    assert isinstance(shipped, Pid)
+    assert isinstance(shipped, PidLaw)
     gains = rule(cycle_of(paper_plant(), WITHOUT_DELAY))  # type: ignore[operator]
     assert gains.values == pytest.approx([shipped.kp, shipped.ki, shipped.kd, shipped.tau_d], rel=2e-4)
 

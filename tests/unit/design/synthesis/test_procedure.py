@@ -12,7 +12,7 @@ from design.output.advice import hints, warnings
 from design.robustness import margins
 from design.search.searcher import Progress
 from design.synthesis.design_file import read_design
-from design.synthesis.procedure import CONTROLLER_STAGE, WEIGHT_STAGE, carry_out
+from design.synthesis.procedure import CONTROLLER_STAGE, WEIGHT_STAGE, design_controller
 
 SHORT = "[search]\nweight_evaluations = 300\ncontroller_evaluations = 300\n"
 
@@ -49,7 +49,7 @@ def test_worst_case_over_plants_raises_the_smallest_margin() -> None:
     )
     smallest = {}
     for worst_case in ("false", "true"):
-        design = carry_out(read_design(text.format(worst_case), "d.toml"), paper_plant(), [HEAVIER])
+        design = design_controller(read_design(text.format(worst_case), "d.toml"), paper_plant(), [HEAVIER])
         (guarantee,) = design.guarantees
         smallest[worst_case] = min(guarantee.eps, guarantee.eps_there)
         if worst_case == "true":
@@ -72,7 +72,8 @@ def test_must_meet_specifications_binds_the_designed_loop() -> None:
         "[controller]\nmust_meet_specifications = {}\n"
     )
     free, bound = (
-        carry_out(read_design(asked.format(value), "d.toml"), paper_plant()) for value in ("false", "true")
+        design_controller(read_design(asked.format(value), "d.toml"), paper_plant())
+        for value in ("false", "true")
     )
     assert not all(r.met for r in free.designed_readings)
     assert all(r.met for r in bound.designed_readings)
@@ -82,7 +83,7 @@ def test_must_meet_specifications_binds_the_designed_loop() -> None:
 def test_specifications_that_the_structure_cannot_meet_are_infeasible() -> None:
     text = SHORT + '[controller]\nstructure = "p"\nmust_meet_specifications = true\n'
     with pytest.raises(InfeasibleError, match=r"(?s)no controller in its box .* error .* NOT met"):
-        carry_out(read_design(text, "d.toml"), paper_plant())
+        design_controller(read_design(text, "d.toml"), paper_plant())
 
 
 def test_what_cannot_be_tuned_is_noted() -> None:
@@ -90,14 +91,16 @@ def test_what_cannot_be_tuned_is_noted() -> None:
     plant = Plant(
         format="hil-plant", version=1, name="p", input_unit="V", output_unit="m", num=[1.0], den=[1.0, 1.0]
     )
-    design = carry_out(read_design('[loop]\ndesign = "continuous"\n' + SHORT, "d.toml"), plant)
+    design = design_controller(read_design('[loop]\ndesign = "continuous"\n' + SHORT, "d.toml"), plant)
     assert [c.name for c in design.candidates] == ["PID (designed)", "HLS", "PI"]
     (note,) = design.notes
     assert note.startswith("ZN, TLC: the loop has no ultimate cycle")
 
 
 def test_pi_is_compared_only_with_other_structures() -> None:
-    design = carry_out(read_design(SHORT + '[controller]\nstructure = "pi"\n', "d.toml"), paper_plant())
+    design = design_controller(
+        read_design(SHORT + '[controller]\nstructure = "pi"\n', "d.toml"), paper_plant()
+    )
     assert [c.name for c in design.candidates] == ["PI (designed)", "HLS", "ZN", "TLC"]
 
 
@@ -105,7 +108,7 @@ def test_a_continuous_design_that_the_rig_could_not_run_is_warned_of() -> None:
     for delay, told in ((1, ""), (20, "ε is 0.2"), (60, "ε is unstable")):
         text = f'[loop]\ndesign = "continuous"\ndelay_samples = {min(delay, 20)}\n'
         text += "period_s = 0.0336\n" if delay == 60 else ""
-        told_of = warnings(carry_out(read_design(text, "d.toml"), paper_plant()))
+        told_of = warnings(design_controller(read_design(text, "d.toml"), paper_plant()))
         found = [warning for warning in told_of if "in the rig's loop" in warning]
         assert len(found) == (1 if told else 0), delay
         assert told in "".join(found)
@@ -113,7 +116,7 @@ def test_a_continuous_design_that_the_rig_could_not_run_is_warned_of() -> None:
 
 def test_a_structure_without_an_integrator_is_named_where_the_weight_has_one() -> None:
     for structure, named in (("p", True), ("pi", False)):
-        design = carry_out(
+        design = design_controller(
             read_design(f'[controller]\nstructure = "{structure}"\n' + SHORT, "d.toml"), paper_plant()
         )
         assert any("where the weight asks for" in warning for warning in warnings(design)) == named
@@ -121,7 +124,7 @@ def test_a_structure_without_an_integrator_is_named_where_the_weight_has_one() -
 
 def test_a_search_that_stops_too_early_is_told() -> None:
     few = read_design("[search]\ncontroller_evaluations = 2500\n", "d.toml")
-    (hint,) = hints(carry_out(few, paper_plant()))
+    (hint,) = hints(design_controller(few, paper_plant()))
     assert hint.startswith("the search of the controller was still gaining when its 2500 evaluations")
     assert hints(continuous_design()) == []
 
@@ -129,12 +132,12 @@ def test_a_search_that_stops_too_early_is_told() -> None:
 def test_plants_that_move_opposite_ways_are_named() -> None:
     text = SHORT + "[specifications]\novershoot = 0.5\n[further_plants]\nworst_case = true\n"
     with pytest.raises(DesignError, match="of these plants reversed moves against its input"):
-        carry_out(read_design(text, "d.toml"), paper_plant(), [REVERSED])
+        design_controller(read_design(text, "d.toml"), paper_plant(), [REVERSED])
 
 
 def test_progress_of_both_stages() -> None:
     seen: dict[str, list[tuple[Progress, int]]] = {}
-    carry_out(
+    design_controller(
         read_design(SHORT, "d.toml"),
         paper_plant(),
         on_progress=lambda stage, progress, total: seen.setdefault(stage, []).append((progress, total)),
@@ -153,6 +156,6 @@ def test_parameters_at_a_wall_of_their_box_are_told() -> None:
         "[search]\nweight_evaluations = 300\n[controller.box]\nkp = { low = 1.0, high = 2.0 }\n",
         "design.toml",
     )
-    told = hints(carry_out(narrow, paper_plant()))
+    told = hints(design_controller(narrow, paper_plant()))
     assert told[0].startswith("kp")
     assert "of the controller: at a wall of the box" in told[0]

@@ -28,8 +28,7 @@ from design.synthesis.structures import (
     setpoint_parameters,
     tustin_law,
 )
-from hil.core.controller_file import Pid, StateSpace
-from hil.core.controller_file import TransferFunction as TransferFunctionLaw
+from hil.core.controller_file import PidLaw, StateSpaceLaw, TransferFunctionLaw
 
 SAMPLING = Sampling(PERIOD_S, 1)
 G = paper_plant().transfer_function(SAMPLING)
@@ -78,9 +77,9 @@ def test_what_the_daemon_runs_has_the_margin_that_was_designed(name: str) -> Non
 
 def test_laws_are_the_plainest_that_will_do() -> None:
     kinds = {name: type(STRUCTURES[name].law(EXPECTED[name][0], PERIOD_S)) for name in STRUCTURES}
-    assert kinds["pid"] is kinds["pid-2dof"] is kinds["p"] is Pid
+    assert kinds["pid"] is kinds["pid-2dof"] is kinds["p"] is PidLaw
     assert kinds["lead-lag"] is TransferFunctionLaw
-    assert kinds["pi-lead"] is StateSpace, "two poles near z = 1 lose digits as a polynomial"
+    assert kinds["pi-lead"] is StateSpaceLaw, "two poles near z = 1 lose digits as a polynomial"
 
 
 def test_a_law_of_slow_poles_keeps_its_margin() -> None:
@@ -97,7 +96,7 @@ def test_a_loop_shaping_controller_keeps_its_digits_as_a_law() -> None:
     K_inf, _ = central_controllers(shaped(G, W1))
     K = of_error(poly.multiply(W1.num, K_inf.num), poly.multiply(W1.den, K_inf.den))
     law = tustin_law(K, PERIOD_S)
-    assert isinstance(law, StateSpace)
+    assert isinstance(law, StateSpaceLaw)
     running = controller_of_law(law, PERIOD_S)
     designed = stability_margin(G, K.feedback, W1)[0]
     assert stability_margin(G, running.feedback, W1)[0] == pytest.approx(designed, rel=1e-10)

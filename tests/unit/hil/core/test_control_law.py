@@ -16,7 +16,7 @@ from support.gateway_bench import make_rig
 
 from firmware_sim.plants.linear_plant import LinearPlant
 from hil.core.control_law import ControlLaw, anti_windup_gain, check_law_runs, realise
-from hil.core.controller_file import Law, Pid, StateSpace, TransferFunction, read_controller
+from hil.core.controller_file import Law, PidLaw, StateSpaceLaw, TransferFunctionLaw, read_controller
 from hil.core.errors import DocumentError
 from hil.shells.run_setup import SHIPPED_CONTROLLERS, shipped_controllers
 
@@ -40,13 +40,13 @@ def run(law: ControlLaw, r: Sequence[float], y: Sequence[float]) -> Array:
     return np.array(outputs)
 
 
-def simulated(G: control.TransferFunction | control.StateSpace, inputs: Array) -> Array:
+def simulated(G: control.TransferFunctionLaw | control.StateSpaceLaw, inputs: Array) -> Array:
     """python-control's response of a sampled system from rest."""
     steps = np.arange(inputs.shape[-1]) * G.dt
     return np.atleast_2d(control.forced_response(G, steps, inputs).outputs)[0]
 
 
-def eq_19(pid: Pid) -> tuple[control.TransferFunction, ...]:
+def eq_19(pid: PidLaw) -> tuple[control.TransferFunctionLaw, ...]:
     """From r and from y, by Tustin's rule, term by term."""
     s = control.tf("s")
     integral = pid.ki / s
@@ -66,24 +66,27 @@ class TestAgainstPythonControl:
     @pytest.mark.parametrize(
         "pid",
         [
-            Pid(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162),
-            Pid(kp=44.856, ki=198.17, kd=2.538, tau_d=0.00566),
-            Pid(kp=-2.0, ki=0.5, kd=0.1, tau_d=0.05),
-            Pid(kp=3.0, ki=2.0),
-            Pid(kp=3.0, ki=0.0, kd=0.2, tau_d=0.03),
-            Pid(kp=0.0, ki=7.0),
-            Pid(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267, b=0.4, c=0.0),
-            Pid(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267, b=0.0, c=1.0),
+            PidLaw(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162),
+            PidLaw(kp=44.856, ki=198.17, kd=2.538, tau_d=0.00566),
+            PidLaw(kp=-2.0, ki=0.5, kd=0.1, tau_d=0.05),
+            PidLaw(kp=3.0, ki=2.0),
+            PidLaw(kp=3.0, ki=0.0, kd=0.2, tau_d=0.03),
+            PidLaw(kp=0.0, ki=7.0),
+            PidLaw(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267, b=0.4, c=0.0),
+            PidLaw(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267, b=0.0, c=1.0),
         ],
     )
-    def test_pid_is_eq_19_by_tustin(self, pid: Pid) -> None:
+    def test_pid_is_eq_19_by_tustin(self, pid: PidLaw) -> None:
         r, y = random_signals(1)
         from_r, from_y = eq_19(pid)
         expected = simulated(from_r, r) - simulated(from_y, y)
         assert np.max(np.abs(run(ControlLaw(pid, TS), r, y) - expected)) <= 1e-9 * np.max(np.abs(expected))
 
     def test_without_dynamics_the_pid_is_its_gain(self) -> None:
-        assert run(ControlLaw(Pid(kp=3.0, ki=0.0, b=0.5), TS), [2.0, 0.0], [0.0, 1.0]).tolist() == [3.0, -3.0]
+        assert run(ControlLaw(PidLaw(kp=3.0, ki=0.0, b=0.5), TS), [2.0, 0.0], [0.0, 1.0]).tolist() == [
+            3.0,
+            -3.0,
+        ]
 
     @given(st.integers(0, 2**32), st.integers(0, 5), st.integers(0, 5))
     @settings(max_examples=40)
@@ -92,7 +95,7 @@ class TestAgainstPythonControl:
         poles = generator.uniform(-0.95, 0.95, order)
         den = np.poly(poles) * generator.uniform(0.1, 10.0)
         num = generator.normal(size=max(order + 1 - lacking, 1))
-        law = TransferFunction(num=num.tolist(), den=np.atleast_1d(den).tolist())
+        law = TransferFunctionLaw(num=num.tolist(), den=np.atleast_1d(den).tolist())
         r, y = random_signals(seed % 1000, 100)
         expected = simulated(control.ss(control.tf(num, den, TS)), r - y)
         assert run(ControlLaw(law, TS), r, y) == pytest.approx(expected, rel=1e-9, abs=1e-9)
@@ -105,7 +108,7 @@ class TestAgainstPythonControl:
         A = generator.normal(size=(n, n))
         A *= 0.95 / max(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0), 1.0)
         B, C, D = (generator.normal(size=shape) for shape in ((n, m), (1, n), (1, m)))
-        law = StateSpace(A=A.tolist(), B=B.tolist(), C=C.tolist(), D=D.tolist(), inputs=inputs)  # type: ignore[arg-type]
+        law = StateSpaceLaw(A=A.tolist(), B=B.tolist(), C=C.tolist(), D=D.tolist(), inputs=inputs)  # type: ignore[arg-type]
         r, y = random_signals(seed % 1000, 100)
         w = np.vstack([r, y]) if m == 2 else r - y
         expected = simulated(control.ss(A, B, C, D, TS), w) if n else (D @ np.atleast_2d(w))[0]
@@ -115,11 +118,11 @@ class TestAgainstPythonControl:
     def test_shipped_controllers(self, name: str) -> None:
         law = shipped(name)
         r, y = random_signals(2, 150)
-        if isinstance(law, Pid):
+        if isinstance(law, PidLaw):
             from_r, from_y = eq_19(law)
             expected = simulated(from_r, r) - simulated(from_y, y)
         else:
-            assert isinstance(law, TransferFunction)
+            assert isinstance(law, TransferFunctionLaw)
             expected = simulated(control.ss(control.tf(law.num, law.den, TS)), r - y)
         assert np.max(np.abs(run(ControlLaw(law, TS), r, y) - expected)) <= 1e-9 * np.max(np.abs(expected))
 
@@ -136,7 +139,7 @@ def conditioned(law: Law) -> Array:
 
 gains = st.floats(-50.0, 50.0).filter(lambda k: k == 0 or abs(k) > 1e-3)
 pids = st.builds(
-    Pid,
+    PidLaw,
     kp=gains,
     ki=gains,
     kd=gains,
@@ -145,17 +148,17 @@ pids = st.builds(
     c=st.floats(0.0, 1.0),
 )
 INTEGRATING = [
-    Pid(kp=0.0, ki=7.0),
-    Pid(kp=3.0, ki=2.0),
-    Pid(kp=-3.0, ki=2.0),  # an unstable zero
-    Pid(kp=0.0, ki=0.0, kd=1.0, tau_d=0.1),  # a zero on the unit circle
-    TransferFunction(num=[1.0, -1.8, 0.81], den=[1.0, -2.0, 1.0]),  # two integrators
-    TransferFunction(num=[1.0, -1.2], den=[1.0, -1.0, 0.0]),  # an unstable zero, no direct feedthrough
-    TransferFunction(num=[1.0], den=[1.0, -1.5, 0.5]),
-    TransferFunction(num=[2.0, 1.0], den=[1.0, -2 * math.cos(0.3), 1.0]),  # a resonator on the circle
-    TransferFunction(num=[1.0, 0.0], den=[1.0, -1.1]),  # unstable
+    PidLaw(kp=0.0, ki=7.0),
+    PidLaw(kp=3.0, ki=2.0),
+    PidLaw(kp=-3.0, ki=2.0),  # an unstable zero
+    PidLaw(kp=0.0, ki=0.0, kd=1.0, tau_d=0.1),  # a zero on the unit circle
+    TransferFunctionLaw(num=[1.0, -1.8, 0.81], den=[1.0, -2.0, 1.0]),  # two integrators
+    TransferFunctionLaw(num=[1.0, -1.2], den=[1.0, -1.0, 0.0]),  # an unstable zero, no direct feedthrough
+    TransferFunctionLaw(num=[1.0], den=[1.0, -1.5, 0.5]),
+    TransferFunctionLaw(num=[2.0, 1.0], den=[1.0, -2 * math.cos(0.3), 1.0]),  # a resonator on the circle
+    TransferFunctionLaw(num=[1.0, 0.0], den=[1.0, -1.1]),  # unstable
     # Integrates y alone.
-    StateSpace(A=[[1.0]], B=[[0.0, -1.0]], C=[[1.0]], D=[[0.5, -1.0]], inputs="r, y"),
+    StateSpaceLaw(A=[[1.0]], B=[[0.0, -1.0]], C=[[1.0]], D=[[0.5, -1.0]], inputs="r, y"),
 ]
 
 
@@ -190,7 +193,7 @@ class TestAntiWindup:
         check_law_runs(law, TS, "law")
 
     @given(pids)
-    def test_any_pid_forgets(self, pid: Pid) -> None:
+    def test_any_pid_forgets(self, pid: PidLaw) -> None:
         assert spectral_radius(conditioned(pid)) < 1 - 1e-10
         check_law_runs(pid, TS, "pid")
 
@@ -201,7 +204,7 @@ class TestAntiWindup:
         zeros = generator.uniform(-1.5, 1.5, generator.integers(0, n + 1))
         assume(np.min(np.abs(poles[:, None] - zeros[None, :]), initial=1.0) > 1e-3)  # no cancellation
         num = np.atleast_1d(np.poly(zeros)) * generator.uniform(0.1, 30.0)
-        law = TransferFunction(num=num.tolist(), den=np.poly(poles).tolist())
+        law = TransferFunctionLaw(num=num.tolist(), den=np.poly(poles).tolist())
         assert spectral_radius(conditioned(law)) < 1 - 1e-10
 
     @pytest.mark.parametrize("law", [*INTEGRATING, *map(shipped, shipped_controllers())])
@@ -228,10 +231,10 @@ class TestAntiWindup:
         assert in_other_output_units * factor == pytest.approx(L, rel=1e-6)
 
     def test_it_is_hanus_conditioning_where_zeros_are_well_inside(self) -> None:
-        A, B, C, D = realise(Pid(kp=3.0, ki=20.0), TS)
+        A, B, C, D = realise(PidLaw(kp=3.0, ki=20.0), TS)
         # L = b/d leaves A - L C with the law's own zero.
         zero = float(A[0, 0] - B[0, 0] / D[0, 0] * C[0, 0])
-        assert float(conditioned(Pid(kp=3.0, ki=20.0))[0, 0]) == pytest.approx(zero, abs=0.01)
+        assert float(conditioned(PidLaw(kp=3.0, ki=20.0))[0, 0]) == pytest.approx(zero, abs=0.01)
 
     @pytest.mark.parametrize("law", [*INTEGRATING, *map(shipped, shipped_controllers())])
     def test_it_never_acts_while_nothing_is_limited(self, law: Law) -> None:
@@ -267,15 +270,15 @@ class TestAntiWindup:
         ("law", "said"),
         [
             (
-                StateSpace(A=[[1.0, 0.0], [0.0, 0.5]], B=[[1.0], [1.0]], C=[[0.0, 1.0]], D=[[1.0]]),
+                StateSpaceLaw(A=[[1.0, 0.0], [0.0, 0.5]], B=[[1.0], [1.0]], C=[[0.0, 1.0]], D=[[1.0]]),
                 "not seen in its output",
             ),
-            (StateSpace(A=[[1.1]], B=[[0.0]], C=[[1.0]], D=[[1.0]]), "not moved by its input"),
-            (StateSpace(A=[[1.0]], B=[[0.0]], C=[[1.0]], D=[[1.0]]), "give a minimal realisation"),
-            (TransferFunction(num=[1.0], den=[1e-320, 1.0]), "coefficient of nan"),
-            (TransferFunction(num=[1.0], den=[1e-300, 1.0]), "coefficient of 1e+300, over 1e+12"),
-            (TransferFunction(num=[1e13], den=[1.0]), "coefficient of 1e+13"),
-            (Pid(kp=1e300, ki=0.0), "scale it"),
+            (StateSpaceLaw(A=[[1.1]], B=[[0.0]], C=[[1.0]], D=[[1.0]]), "not moved by its input"),
+            (StateSpaceLaw(A=[[1.0]], B=[[0.0]], C=[[1.0]], D=[[1.0]]), "give a minimal realisation"),
+            (TransferFunctionLaw(num=[1.0], den=[1e-320, 1.0]), "coefficient of nan"),
+            (TransferFunctionLaw(num=[1.0], den=[1e-300, 1.0]), "coefficient of 1e+300, over 1e+12"),
+            (TransferFunctionLaw(num=[1e13], den=[1.0]), "coefficient of 1e+13"),
+            (PidLaw(kp=1e300, ki=0.0), "scale it"),
         ],
     )
     def test_what_cannot_be_conditioned_or_computed_is_refused(self, law: Law, said: str) -> None:
@@ -284,16 +287,16 @@ class TestAntiWindup:
         assert said in str(caught.value)
 
     def test_a_large_but_sound_law_is_not_refused(self) -> None:
-        check_law_runs(TransferFunction(num=[1e12], den=[1.0]), TS, "x")
+        check_law_runs(TransferFunctionLaw(num=[1e12], den=[1.0]), TS, "x")
 
 
 WITH_DYNAMICS: list[Law] = [
     *map(shipped, shipped_controllers()),
-    Pid(kp=3.0, ki=2.0),
-    Pid(kp=3.0, ki=2.0, kd=1.0, tau_d=1e-6),
-    Pid(kp=3.0, ki=0.0, kd=0.2, tau_d=0.03),
-    Pid(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267, b=0.4, c=0.0),
-    TransferFunction(num=[1.0, -0.5], den=[1.0, -0.9]),
+    PidLaw(kp=3.0, ki=2.0),
+    PidLaw(kp=3.0, ki=2.0, kd=1.0, tau_d=1e-6),
+    PidLaw(kp=3.0, ki=0.0, kd=0.2, tau_d=0.03),
+    PidLaw(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267, b=0.4, c=0.0),
+    TransferFunctionLaw(num=[1.0, -0.5], den=[1.0, -0.9]),
     *INTEGRATING,
 ]
 
@@ -309,10 +312,10 @@ class TestHandOver:
         assert control_law.output(r, y) == pytest.approx(u, abs=1e-9)
 
     @pytest.mark.parametrize(
-        "pid", [law for law in WITH_DYNAMICS if isinstance(law, Pid) and law.ki and law.b == law.c == 1.0]
+        "pid", [law for law in WITH_DYNAMICS if isinstance(law, PidLaw) and law.ki and law.b == law.c == 1.0]
     )
     @pytest.mark.parametrize(("r", "y", "u"), [(0.0, 0.1, 0.0), (0.05, -0.02, 1.5)])
-    def test_afterwards_a_pid_only_integrates(self, pid: Pid, r: float, y: float, u: float) -> None:
+    def test_afterwards_a_pid_only_integrates(self, pid: PidLaw, r: float, y: float, u: float) -> None:
         """While r and y stand still only ki times the error moves the output: no jump in any sample."""
         law = ControlLaw(pid, TS)
         law.initialise(r, y, u)
@@ -321,7 +324,7 @@ class TestHandOver:
         assert run(law, [r] * 50, [y] * 50) == pytest.approx(expected, abs=1e-7)
 
     def test_a_two_degree_of_freedom_pid_only_integrates_too(self) -> None:
-        law = ControlLaw(Pid(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267, b=0.4, c=0.0), TS)
+        law = ControlLaw(PidLaw(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267, b=0.4, c=0.0), TS)
         law.initialise(0.1, 0.02, 0.7)
         assert run(law, [0.1] * 20, [0.02] * 20) == pytest.approx(0.7 + np.arange(20) * TS * 5.0 * 0.08)
 
@@ -341,14 +344,14 @@ class TestHandOver:
         r, y = random_signals(5, 20)
         assert np.array_equal(run(used, r, y), run(fresh, r, y))
 
-    @pytest.mark.parametrize("law", [Pid(kp=2.0, ki=0.0), StateSpace(A=[], B=[], C=[[]], D=[[2.0]])])
+    @pytest.mark.parametrize("law", [PidLaw(kp=2.0, ki=0.0), StateSpaceLaw(A=[], B=[], C=[[]], D=[[2.0]])])
     def test_a_law_without_dynamics_has_nothing_to_hand_over(self, law: Law) -> None:
         control_law = ControlLaw(law, TS)
         control_law.initialise(0.1, 0.0, 5.0)
         assert control_law.output(0.1, 0.0) == pytest.approx(0.2)
 
     def test_a_law_that_shows_nothing_settles(self) -> None:
-        law = ControlLaw(StateSpace(A=[[0.5]], B=[[1.0]], C=[[0.0]], D=[[1.0]]), TS)
+        law = ControlLaw(StateSpaceLaw(A=[[0.5]], B=[[1.0]], C=[[0.0]], D=[[1.0]]), TS)
         law.initialise(0.2, 0.0, 9.0)
         assert law.output(0.2, 0.0) == pytest.approx(0.2)
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from hil.core.controller_file import (
     ControllerFile,
-    Pid,
-    StateSpace,
-    TransferFunction,
+    PidLaw,
+    StateSpaceLaw,
+    TransferFunctionLaw,
     check_controller_fits,
     read_controller,
 )
@@ -58,12 +58,12 @@ class TestShipped:
 
     def test_ppid_is_eq_20(self) -> None:
         law = read_controller((SHIPPED_CONTROLLERS / "ppid.json").read_text(), "ppid").law
-        assert law == Pid(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162)
+        assert law == PidLaw(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162)
 
 
 def test_a_pid_is_read_with_its_defaults() -> None:
     controller = read_controller(json.dumps(PID), "mine.json")
-    assert controller.law == Pid(kp=11.0, ki=5.6, kd=0.3, tau_d=0.02, b=1.0, c=1.0)
+    assert controller.law == PidLaw(kp=11.0, ki=5.6, kd=0.3, tau_d=0.02, b=1.0, c=1.0)
     assert controller.origin == PID["origin"]
 
 
@@ -143,17 +143,19 @@ SOUND: dict[str, Any] = {
 class TestShapes:
     def test_matching_ones_are_read(self) -> None:
         law = read_controller(json.dumps(with_law(kind="state_space", **SOUND)), "x").law
-        assert law == StateSpace(**SOUND)
+        assert law == StateSpaceLaw(**SOUND)
 
     def test_two_inputs_have_two_columns(self) -> None:
         two = SOUND | {"B": [[1.0, -1.0], [2.0, 0.0]], "D": [[0.5, -0.5]], "inputs": "r, y"}
-        assert read_controller(json.dumps(with_law(kind="state_space", **two)), "x").law == StateSpace(**two)
+        assert read_controller(json.dumps(with_law(kind="state_space", **two)), "x").law == StateSpaceLaw(
+            **two
+        )
 
     def test_a_law_without_states_is_read(self) -> None:
         law = read_controller(
             json.dumps(with_law(kind="state_space", A=[], B=[], C=[[]], D=[[2.0]])), "x"
         ).law
-        assert law == StateSpace(A=[], B=[], C=[[]], D=[[2.0]])
+        assert law == StateSpaceLaw(A=[], B=[], C=[[]], D=[[2.0]])
 
     @pytest.mark.parametrize(
         ("changes", "text"),
@@ -200,12 +202,12 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 nonzero = finite.filter(bool)
 polynomials = st.integers(1, 4).flatmap(
     lambda n: st.builds(
-        TransferFunction,
+        TransferFunctionLaw,
         num=st.lists(finite, min_size=1, max_size=n),
         den=st.tuples(nonzero, st.lists(finite, min_size=n - 1, max_size=n - 1)).map(lambda d: [d[0], *d[1]]),
     )
 )
-pids = st.builds(Pid, kp=finite, ki=finite, kd=finite, tau_d=st.floats(1e-9, 1e9), b=finite, c=finite)
+pids = st.builds(PidLaw, kp=finite, ki=finite, kd=finite, tau_d=st.floats(1e-9, 1e9), b=finite, c=finite)
 
 
 @given(polynomials | pids, st.text(), st.floats(1e-6, 1e3))

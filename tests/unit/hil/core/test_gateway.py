@@ -25,9 +25,9 @@ from support.gateway_bench import (
     texts,
 )
 
-from hil.core.controller_file import Pid
+from hil.core.controller_file import PidLaw
 from hil.core.frames import Frame
-from hil.core.life_cycle import State, Trigger
+from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
 
@@ -44,7 +44,7 @@ class TestBringUp:
         assert output.frames[:2] == (SYNC, GATEWAY_HEARTBEAT)
         assert commands(output) == [CENTRED]
         assert output.cycle is None
-        assert output.events == ()
+        assert output.log == ()
 
     def test_a_boot_up_message_is_answered_by_nmt_start(self) -> None:
         gateway = hand()
@@ -72,14 +72,14 @@ class TestBringUp:
         gateway = hand()
         for heartbeats in ((), (ADC_UP,), (DAC_UP,)):
             gateway.deadline()
-            assert gateway.state is State.OFFLINE
+            assert gateway.state is LifeCycleState.OFFLINE
             gateway.give(*heartbeats)
-            assert gateway.state is State.OFFLINE
+            assert gateway.state is LifeCycleState.OFFLINE
             before = gateway.state
             output = gateway.sample()
-            assert before is State.OFFLINE
+            assert before is LifeCycleState.OFFLINE
             assert commands(output) == []
-        assert gateway.state is State.READY
+        assert gateway.state is LifeCycleState.READY
         assert texts(output) == ["life cycle: offline -> ready (boards up)"]
 
     @pytest.mark.parametrize("missing", [ADC_UP, DAC_UP])
@@ -89,22 +89,22 @@ class TestBringUp:
             gateway.deadline()
             gateway.give(*{ADC_UP, DAC_UP} - {missing})
             gateway.sample()
-            assert gateway.state is State.OFFLINE
+            assert gateway.state is LifeCycleState.OFFLINE
 
     def test_a_bad_sample_does_not_make_ready(self) -> None:
         gateway = hand()
         gateway.deadline()
         gateway.give(ADC_UP, DAC_UP)
         gateway.sample((0.0, 5.0, 5.0))
-        assert gateway.state is State.OFFLINE
+        assert gateway.state is LifeCycleState.OFFLINE
 
     def test_heartbeats_leave_every_so_many_periods(self) -> None:
         gateway = hand()
         sent = [GATEWAY_HEARTBEAT in gateway.deadline().frames for _ in range(28)]
         assert [k for k, is_sent in enumerate(sent) if is_sent] == [0, 9, 18, 27]
 
-    @pytest.mark.parametrize("state", [State.RUNNING, State.FAULT])
-    def test_heartbeats_leave_in_every_state(self, state: State) -> None:
+    @pytest.mark.parametrize("state", [LifeCycleState.RUNNING, LifeCycleState.FAULT])
+    def test_heartbeats_leave_in_every_state(self, state: LifeCycleState) -> None:
         gateway = hand(state)
         gateway.told.frames.clear()
         gateway.periods(18)
@@ -126,7 +126,7 @@ class TestBringUp:
         assert texts(gateway.sample()) == [
             "guard: rejected: TPDO1_ADC: no SYNC is unanswered: it came twice, or unasked"
         ]
-        assert gateway.state is State.OFFLINE
+        assert gateway.state is LifeCycleState.OFFLINE
 
     @pytest.mark.parametrize(
         ("board", "identifier"), [("adc", codec.HEARTBEAT_ADC), ("dac", codec.HEARTBEAT_DAC)]
@@ -139,12 +139,12 @@ class TestBringUp:
         output = gateway.give(Frame(identifier, b"\x05" * length))
         assert texts(output) == [f"guard: rejected: heartbeat of {board} has {length} bytes, not 1"]
         assert gateway.core.rejected_frames == 1
-        assert f"{board} silent" in gateway.operate(Trigger.ARM).events[0].text
+        assert f"{board} silent" in gateway.operate(Trigger.ARM).log[0].text
 
     def test_the_simulated_boards_come_up(self) -> None:
         bench = Bench(make_rig())
         bench.periods(12)
-        assert bench.gateway.state is State.READY
+        assert bench.gateway.state is LifeCycleState.READY
         assert [text for text in bench.told.texts() if "life cycle" in text or "dac" in text] == [
             "dac: boot-up",
             "dac: operational",
@@ -154,21 +154,21 @@ class TestBringUp:
         assert set(bench.told.commands()) == {CENTRED}
 
 
-@pytest.mark.parametrize("state", [state for state in State if state is not State.RUNNING])
-def test_valves_are_centred_every_period_in_every_state_but_running(state: State) -> None:
+@pytest.mark.parametrize("state", [state for state in LifeCycleState if state is not LifeCycleState.RUNNING])
+def test_valves_are_centred_every_period_in_every_state_but_running(state: LifeCycleState) -> None:
     gateway = hand(state)
     for k in range(20):
         output = gateway.deadline()
         assert commands(output) == [CENTRED]
-        assert output.frames[0] == SYNC or state is State.OFFLINE
-        if state is not State.OFFLINE:
+        assert output.frames[0] == SYNC or state is LifeCycleState.OFFLINE
+        if state is not LifeCycleState.OFFLINE:
             gateway.give(ADC_UP, DAC_UP)
             assert commands(gateway.sample((5.0 + 0.1 * k, 4.0, 6.0))) == []
         assert gateway.state is state
 
 
 def test_a_valve_that_something_else_moved_is_centred_at_the_next_deadline() -> None:
-    gateway = hand(State.ARMED)
+    gateway = hand(LifeCycleState.ARMED)
     gateway.core._loops._valves.command(0, 2.0)
     assert commands(gateway.deadline()) == [CENTRED]
 
@@ -187,7 +187,7 @@ def test_before_the_first_sample_a_cycle_says_that_nothing_is_known() -> None:
 
 class TestRunning:
     def test_a_command_leaves_only_in_answer_to_a_fresh_good_sample(self) -> None:
-        gateway = hand(State.RUNNING, adc__protected="false")
+        gateway = hand(LifeCycleState.RUNNING, adc__protected="false")
         for number in range(30):
             assert commands(gateway.deadline()) == []
             assert commands(gateway.give(ADC_UP, DAC_UP)) == []
@@ -196,20 +196,20 @@ class TestRunning:
             if number % 2:
                 again = sample_frame(gateway.volts, 0, protected=False)
                 assert commands(gateway.give(again)) == []
-        assert gateway.state is State.RUNNING
+        assert gateway.state is LifeCycleState.RUNNING
 
     def test_the_command_is_the_laws_limited_output(self) -> None:
         """u = 20 (r - y) from the centre: 0.05 m at the potentiometers' middle is 1 V."""
-        gateway = hand(State.RUNNING)
+        gateway = hand(LifeCycleState.RUNNING)
         gateway.deadline()
         (volts,) = commands(gateway.sample())
         assert volts == pytest.approx((6.0, 6.0, 6.0), abs=COUNT_V)
 
     def test_each_axis_has_its_own_loop(self) -> None:
         rig = make_rig()
-        laws = {name: Pid(kp=kp, ki=0.0) for name, kp in zip(rig.axes, (10.0, 20.0, -1.0), strict=True)}
+        laws = {name: PidLaw(kp=kp, ki=0.0) for name, kp in zip(rig.axes, (10.0, 20.0, -1.0), strict=True)}
         steps = {"vertical": "step:0.1@0", "horizontal": "step:-0.05@0", "rotation": "step:1@0"}
-        gateway = HandGateway(rig, make_gateway(rig, laws, steps)).to(State.RUNNING)
+        gateway = HandGateway(rig, make_gateway(rig, laws, steps)).to(LifeCycleState.RUNNING)
         gateway.deadline()
         # vertical at 0.033 m, horizontal at 0, rotation at -0.33 rad
         (volts,) = commands(gateway.sample((6.0, 5.0, 4.0)))
@@ -218,7 +218,7 @@ class TestRunning:
 
     def test_limits_act_and_the_cycle_tells_both_voltages(self) -> None:
         rig = make_rig({"axes.vertical.valve.max_v": "6.5", "axes.horizontal.valve.max_rate_v_s": "10.0"})
-        gateway = HandGateway(rig, make_gateway(rig, Pid(kp=100.0, ki=0.0))).to(State.RUNNING)
+        gateway = HandGateway(rig, make_gateway(rig, PidLaw(kp=100.0, ki=0.0))).to(LifeCycleState.RUNNING)
         gateway.deadline()
         output = gateway.sample()
         assert commands(output)[0] == pytest.approx((6.5, 5.112, 9.48), abs=COUNT_V)
@@ -232,20 +232,24 @@ class TestRunning:
     def test_the_law_is_told_what_the_limits_let_through(self) -> None:
         """A proportional-integral law at its limit for 10 s leaves it as soon as the error turns."""
         rig = make_rig({f"axes.{axis}.valve.max_v": "5.5" for axis in ("vertical", "horizontal", "rotation")})
-        gateway = HandGateway(rig, make_gateway(rig, Pid(kp=10.0, ki=20.0))).to(State.RUNNING)
+        gateway = HandGateway(rig, make_gateway(rig, PidLaw(kp=10.0, ki=20.0))).to(LifeCycleState.RUNNING)
         gateway.periods(900)
         assert gateway.told.commands()[-1] == pytest.approx((5.5, 5.5, 5.5), abs=COUNT_V)
         gateway.period((9.0, 9.0, 9.0))
         assert max(gateway.told.commands()[-1]) < 5.0
 
     def test_the_cycle_of_a_good_sample(self) -> None:
-        gateway = hand(State.RUNNING)
+        gateway = hand(LifeCycleState.RUNNING)
         gateway.deadline(late_ns=300_000)
         deadline_ns = gateway.now_ns - 300_000
         (cycle,) = [gateway.sample((6.0, 5.0, 5.0), after_ns=700_000).cycle]
         assert cycle is not None
         assert (cycle.number, cycle.deadline_ns, cycle.wake_ns) == (1, deadline_ns, deadline_ns + 300_000)
-        assert (cycle.receive_ns, cycle.state, cycle.fresh) == (deadline_ns + 1_000_000, State.RUNNING, True)
+        assert (cycle.receive_ns, cycle.state, cycle.fresh) == (
+            deadline_ns + 1_000_000,
+            LifeCycleState.RUNNING,
+            True,
+        )
         vertical = cycle.axes[0]
         assert vertical.setpoint == 0.05
         assert vertical.position == pytest.approx(0.033, abs=1e-5)
@@ -255,7 +259,7 @@ class TestRunning:
         assert vertical.potentiometer_v == pytest.approx(6.0, abs=COUNT_V)
 
     def test_before_it_runs_the_cycle_follows_the_position(self) -> None:
-        gateway = hand(State.ARMED)
+        gateway = hand(LifeCycleState.ARMED)
         gateway.deadline()
         cycle = gateway.sample((6.0, 5.0, 5.0)).cycle
         assert cycle is not None
@@ -264,7 +268,7 @@ class TestRunning:
         assert (vertical.error, vertical.output_v, vertical.command_v) == (0.0, 0.0, 5.0)
 
     def test_without_a_sample_the_cycle_holds_the_last_signals(self) -> None:
-        gateway = hand(State.RUNNING)
+        gateway = hand(LifeCycleState.RUNNING)
         gateway.deadline()
         good = gateway.sample().cycle
         gateway.deadline()
@@ -274,7 +278,7 @@ class TestRunning:
         assert held.axes == good.axes
 
     def test_a_period_with_a_sample_gives_one_cycle(self) -> None:
-        gateway = hand(State.RUNNING)
+        gateway = hand(LifeCycleState.RUNNING)
         gateway.told.cycles.clear()
         gateway.periods(10)
         assert [cycle.number for cycle in gateway.told.cycles] == list(range(1, 11))
@@ -282,7 +286,7 @@ class TestRunning:
     def test_time_begins_with_the_first_controlled_sample_and_runs_by_deadlines(self) -> None:
         rig = make_rig()
         gateway = HandGateway(rig, make_gateway(rig, setpoints="ladder:0.01,0.02,0.03@0/0.0112"))
-        gateway.to(State.ARMED)
+        gateway.to(LifeCycleState.ARMED)
         gateway.periods(7)
         gateway.operate(Trigger.START)
         gateway.deadline()
@@ -297,7 +301,7 @@ class TestRunning:
 
     def test_a_step_at_1_12_s_comes_in_the_hundredth_sample(self) -> None:
         rig = make_rig()
-        gateway = HandGateway(rig, make_gateway(rig, setpoints="step:0.05@1.12")).to(State.RUNNING)
+        gateway = HandGateway(rig, make_gateway(rig, setpoints="step:0.05@1.12")).to(LifeCycleState.RUNNING)
         gateway.told.cycles.clear()
         gateway.periods(102)
         setpoints = [cycle.axes[0].setpoint for cycle in gateway.told.cycles]
@@ -306,8 +310,8 @@ class TestRunning:
     def test_start_does_not_move_a_valve_whatever_the_error(self) -> None:
         """Bumpless: an integrating law begins at the centre, at any position."""
         rig = make_rig()
-        gateway = HandGateway(rig, make_gateway(rig, Pid(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267)))
-        gateway.to(State.RUNNING)
+        gateway = HandGateway(rig, make_gateway(rig, PidLaw(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267)))
+        gateway.to(LifeCycleState.RUNNING)
         gateway.deadline()
         assert commands(gateway.sample((9.0, 2.0, 5.0))) == [CENTRED]
         gateway.deadline()
@@ -316,8 +320,8 @@ class TestRunning:
 
     def test_stop_centres_at_once_and_a_new_start_begins_anew(self) -> None:
         rig = make_rig()
-        gateway = HandGateway(rig, make_gateway(rig, Pid(kp=11.0, ki=50.0), "step:0.05@0.1"))
-        gateway.to(State.RUNNING)
+        gateway = HandGateway(rig, make_gateway(rig, PidLaw(kp=11.0, ki=50.0), "step:0.05@0.1"))
+        gateway.to(LifeCycleState.RUNNING)
         gateway.periods(40)
         assert gateway.told.commands()[-1] != CENTRED
         output = gateway.operate(Trigger.STOP)
@@ -334,7 +338,7 @@ class TestRunning:
         assert gateway.told.cycles[0].axes[0].output_v == 0.0
 
     def test_start_after_the_periods_sample_waits_for_the_next(self) -> None:
-        gateway = hand(State.ARMED, adc__protected="false")
+        gateway = hand(LifeCycleState.ARMED, adc__protected="false")
         gateway.period()
         gateway.operate(Trigger.START)
         again = sample_frame(gateway.volts, 0, protected=False)
@@ -342,7 +346,7 @@ class TestRunning:
         assert len(commands(gateway.period())) == 1
 
     def test_the_rpdo_counter_goes_up_by_one_in_every_frame(self) -> None:
-        gateway = hand(State.RUNNING)
+        gateway = hand(LifeCycleState.RUNNING)
         gateway.periods(300)
         gateway.operate(Trigger.STOP)
         gateway.periods(5)
@@ -377,7 +381,7 @@ class TestOtherRigs:
             }
         )
         steps = {"vertical": "step:0.1@0", "horizontal": "step:0@0", "rotation": "step:-0.1@0"}
-        gateway = HandGateway(rig, make_gateway(rig, setpoints=steps)).to(State.RUNNING)
+        gateway = HandGateway(rig, make_gateway(rig, setpoints=steps)).to(LifeCycleState.RUNNING)
         gateway.deadline()
         # horizontal's potentiometer on channel 1 at 0.033 m
         (volts,) = commands(gateway.sample((6.0, 5.0, 5.0)))
@@ -387,7 +391,7 @@ class TestOtherRigs:
     def test_boards_without_counter_and_crc(self, adc: str, dac: str) -> None:
         bench = Bench(make_rig({"adc.protected": adc, "dac.protected": dac})).run()
         bench.periods(50)
-        assert bench.gateway.state is State.RUNNING
+        assert bench.gateway.state is LifeCycleState.RUNNING
         assert bench.gateway.rejected_frames == 0
         lengths = {len(frame.data) for frame in bench.told.frames if frame.id == codec.RPDO1_DAC}
         assert lengths == {8 if dac == "true" else 6}
@@ -398,11 +402,11 @@ class TestOtherRigs:
         gateway.deadline()
         gateway.give(ADC_UP, DAC_UP)
         gateway.give(sample_frame(CENTRED, 0, protected=False))
-        assert gateway.state is State.OFFLINE
+        assert gateway.state is LifeCycleState.OFFLINE
 
     def test_another_centre(self) -> None:
         changes = {"axes.vertical.valve.centre_v": "4.75", "axes.rotation.valve.centre_v": "5.25"}
-        gateway = HandGateway(make_rig(changes)).to(State.RUNNING)
+        gateway = HandGateway(make_rig(changes)).to(LifeCycleState.RUNNING)
         centres = pytest.approx((4.75, 5.0, 5.25), abs=COUNT_V / 2)
         assert gateway.told.commands()[0] == centres
         gateway.deadline()
@@ -411,17 +415,17 @@ class TestOtherRigs:
 
     def test_another_period(self) -> None:
         bench = Bench(
-            make_rig({"loop.period_s": "0.02", "gateway.heartbeat_periods": "5"}), Pid(kp=5.0, ki=1.0)
+            make_rig({"loop.period_s": "0.02", "gateway.heartbeat_periods": "5"}), PidLaw(kp=5.0, ki=1.0)
         ).run()
         bench.periods(100)
-        assert bench.gateway.state is State.RUNNING
+        assert bench.gateway.state is LifeCycleState.RUNNING
         assert bench.told.cycles[-1].deadline_ns - bench.told.cycles[-2].deadline_ns == 20_000_000
 
 
 def test_the_closed_loop_reaches_its_setpoints() -> None:
-    bench = Bench(make_rig(), Pid(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162), "step:0.1@0.5").run()
+    bench = Bench(make_rig(), PidLaw(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162), "step:0.1@0.5").run()
     bench.periods(round(6 / 0.0112))
-    assert bench.gateway.state is State.RUNNING
+    assert bench.gateway.state is LifeCycleState.RUNNING
     for axis in bench.told.cycles[-1].axes:
         assert axis.position == pytest.approx(0.1, abs=0.002)
     assert bench.gateway.rejected_frames == bench.gateway.missed_periods == bench.gateway.lost_samples == 0

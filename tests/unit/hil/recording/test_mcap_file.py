@@ -23,7 +23,7 @@ TOPICS = {
     "/gateway/deadline": "hil_msgs/msg/Deadline",
     "/gateway/cycle": "hil_msgs/msg/Cycle",
     "/gateway/operator": "std_msgs/msg/String",
-    "/gateway/events": "rcl_interfaces/msg/Log",
+    "/gateway/log": "rcl_interfaces/msg/Log",
     "/axis/vertical": "hil_msgs/msg/AxisSignals",
     "/axis/horizontal": "hil_msgs/msg/AxisSignals",
     "/axis/rotation": "hil_msgs/msg/AxisSignals",
@@ -167,7 +167,7 @@ def test_mcap_ros2_support_decodes_it(reader: McapReader) -> None:
     assert cycle.number == 0
     assert cycle.deadline == START_NS
     assert message.log_time == cycle.sent + EPOCH_OFFSET_NS
-    ((_, event),) = decoded["/gateway/events"]
+    ((_, event),) = decoded["/gateway/log"]
     assert (event.level, event.name, event.msg) == (20, "life cycle", "armed -> running (start)")
     assert (event.file, event.function, event.line) == ("", "", 0)
     assert [content.data for _, content in decoded["/gateway/operator"]] == ["start", "stop"]
@@ -181,6 +181,6 @@ def test_rosbags_reads_it(path: Path) -> None:
         for connection, _, raw in bag.messages():
             message = bag.deserialize(raw, connection.msgtype)
             found[connection.topic] += 1
-            if connection.topic == "/gateway/events":
+            if connection.topic == "/gateway/log":
                 assert message.msg == "armed -> running (start)"
         assert found == counts

@@ -26,8 +26,8 @@ from support.recorded_runs import (
 )
 
 from hil.core.errors import RecordingError
-from hil.core.events import Event, Severity
 from hil.core.frames import Frame
+from hil.core.output import LogEntry, Severity
 from hil.recording import pipe
 from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
 from hil.recording.recorder import BATCH_BYTES, LINK_FAILED, Recorder, RecorderReport
@@ -62,7 +62,9 @@ def test_what_is_reported_comes_back(tmp_path: Path) -> None:
     recorder.frame_received(received, START_NS + 5, EPOCH_OFFSET_NS + START_NS + 4)
     for frame in unusual:
         recorder.frame_received(frame, START_NS + 6, EPOCH_OFFSET_NS + START_NS + 6)
-    recorder.event(Event(Severity.FATAL, "adc", "no good sample for 3 periods — limit 3"), START_NS + 7)
+    recorder.log_entry(
+        LogEntry(Severity.FATAL, "adc", "no good sample for 3 periods — limit 3"), START_NS + 7
+    )
     recorder.operated(LINK_FAILED + "Network is down", START_NS + 8)
     report = recorder.close({"ending": {"reason": "link"}})
 
@@ -77,8 +79,8 @@ def test_what_is_reported_comes_back(tmp_path: Path) -> None:
         *(FrameReceived(START_NS + 6, frame, EPOCH_OFFSET_NS + START_NS + 6) for frame in unusual),
         Operated(START_NS + 8, "link failed: Network is down"),
     ]
-    assert recording.events() == [
-        (START_NS + 7, Event(Severity.FATAL, "adc", "no good sample for 3 periods — limit 3"))
+    assert recording.log() == [
+        (START_NS + 7, LogEntry(Severity.FATAL, "adc", "no good sample for 3 periods — limit 3"))
     ]
     assert recording.attachments == {name: content for name, (_, content) in RUN_HEADER.attachments.items()}
     assert recording.metadata == RUN_HEADER.metadata | {
@@ -215,9 +217,7 @@ def test_a_recorder_that_falls_behind_costs_messages_that_are_counted(
     assert report.failure is None
     assert dropped == sum(report.dropped.values()) > 1000
     for topic, count in recording.counts.items():
-        told = (
-            6000 if topic == "/can/tx" else 0 if topic in ("/gateway/events", "/gateway/operator") else 3000
-        )
+        told = 6000 if topic == "/can/tx" else 0 if topic in ("/gateway/log", "/gateway/operator") else 3000
         assert count + report.dropped.get(topic, 0) == told, topic
     assert recording.metadata["recorder"] == {"messages": str(report.messages)} | {
         f"dropped {topic}": str(count) for topic, count in report.dropped.items()

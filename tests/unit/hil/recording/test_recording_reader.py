@@ -24,8 +24,8 @@ from support.recorded_runs import (
 )
 
 from hil.core.errors import RecordingError
-from hil.core.events import Event, Severity
 from hil.core.frames import Frame
+from hil.core.output import LogEntry, Severity
 from hil.recording.reader import Call, DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
 from hil.recording.recorder import Recorder
 
@@ -103,7 +103,7 @@ calls = st.one_of(
     ),
 )
 events = st.builds(
-    Event,
+    LogEntry,
     st.sampled_from(Severity),
     st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=9),
     st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=30),
@@ -113,7 +113,7 @@ events = st.builds(
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.one_of(calls, events), max_size=40), st.integers(1, 9))
 def test_any_calls_come_back_in_their_order(
-    tmp_path_factory: pytest.TempPathFactory, reports: list[Call | Event], batch_size: int
+    tmp_path_factory: pytest.TempPathFactory, reports: list[Call | LogEntry], batch_size: int
 ) -> None:
     path = tmp_path_factory.mktemp("any") / "run.mcap"
     with in_memory(path):
@@ -129,14 +129,14 @@ def test_any_calls_come_back_in_their_order(
             case Operated(now_ns, command):
                 recorder.operated(command, now_ns)
             case event:
-                recorder.event(event, number)
+                recorder.log_entry(event, number)
         if number % batch_size == 0:
             recorder.hand_over()
     recorder.close({})
     recording = Recording(path)
-    assert list(recording.calls()) == [report for report in reports if not isinstance(report, Event)]
-    assert [event for _, event in recording.events()] == [
-        report for report in reports if isinstance(report, Event)
+    assert list(recording.calls()) == [report for report in reports if not isinstance(report, LogEntry)]
+    assert [event for _, event in recording.log()] == [
+        report for report in reports if isinstance(report, LogEntry)
     ]
 
 

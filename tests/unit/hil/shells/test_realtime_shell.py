@@ -14,10 +14,10 @@ import pytest
 from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.errors import LinkError, ReplayMismatchError
-from hil.core.events import Cycle, Event, Severity
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
+from hil.core.output import Cycle, LogEntry, Severity
 from hil.core.sample_guard import SampleGuard
 from hil.core.wire import codec
 from hil.links import Received
@@ -113,10 +113,10 @@ class LinkToBoards:
 
 class Audience:
     def __init__(self) -> None:
-        self.events: list[Event] = []
+        self.events: list[LogEntry] = []
         self.cycles: list[Cycle] = []
 
-    def event(self, event: Event) -> None:
+    def log(self, event: LogEntry) -> None:
         self.events.append(event)
 
     def cycle(self, cycle: Cycle, _gateway: Gateway) -> None:
@@ -168,7 +168,7 @@ def test_a_run_completes_and_its_recording_verifies(bench: Bench) -> None:
     recording = bench.run()
     assert bench.plan.ending is Ending.COMPLETED
     timing = recording.timing()
-    assert sum(timing["state"] == State.RUNNING) == RUN_S * 1e9 // PERIOD_NS + 1
+    assert sum(timing["state"] == LifeCycleState.RUNNING) == RUN_S * 1e9 // PERIOD_NS + 1
     assert set(timing["wake_ns"] - timing["deadline_ns"]) == {0}
     assert set((timing["receive_ns"] - timing["wake_ns"])[timing["fresh"]]) == {LATENCY_NS}
     assert commands(recording)[-1] == (5.0, 5.0, 5.0)
@@ -214,7 +214,7 @@ def test_an_answer_that_waits_is_taken_before_a_late_deadline(bench: Bench) -> N
     assert bench.plan.ending is Ending.COMPLETED
     timing = recording.timing()
     assert list(np.diff(timing["wake_ns"])[49:51]) == [PERIOD_NS + 5_000_000, 8_000_000]
-    assert timing["fresh"][timing["state"] == State.RUNNING].all()
+    assert timing["fresh"][timing["state"] == LifeCycleState.RUNNING].all()
     assert bench.gateway.rejected_frames == 0
     assert bench.gateway.missed_periods == 0
     assert verify(recording).frames_compared == bench.link.sent
@@ -241,7 +241,7 @@ def test_a_link_that_fails_to_send_ends_the_run_and_still_verifies(bench: Bench,
     recording = bench.run()
     assert bench.plan.ending is Ending.LINK
     assert bench.gateway.fault_reason == "link: cannot send: unplugged"
-    assert bench.gateway.state is State.FAULT
+    assert bench.gateway.state is LifeCycleState.FAULT
     assert verify(recording).frames_compared == bench.link.sent == at
 
 
@@ -269,15 +269,13 @@ def test_a_link_that_works_again_when_opened_anew_centres_the_valves(bench: Benc
 def test_a_link_that_stays_away_leaves_the_valves_to_the_watchdog(bench: Bench) -> None:
     bench.link.fails_after_sent = 100
     recording = bench.run()
-    assert bench.audience.events[-1] == Event(
+    assert bench.audience.events[-1] == LogEntry(
         Severity.ERROR,
         "link",
         "the command that centres the valves left 0 times, not 3: the DAC board's watchdog has to centre "
         "them (rig: dac.watchdog_periods)",
     )
-    tried_for_ns = bench.clock.now_ns - next(
-        ns for ns, e in recording.events() if e.severity is Severity.FATAL
-    )
+    tried_for_ns = bench.clock.now_ns - next(ns for ns, e in recording.log() if e.severity is Severity.FATAL)
     assert 0 <= tried_for_ns - realtime.CENTRING_PATIENCE_NS < 2 * PERIOD_NS
 
 
@@ -345,7 +343,7 @@ def test_commands_refused_in_a_row_are_a_failed_link(bench: Bench) -> None:
 def test_unreadable_frames_are_told_when_their_number_has_doubled(bench: Bench) -> None:
     bench.link.unreadable_at = {20: 1, 30: 1, 40: 1, 50: 7, 60: 1}
     recording = bench.run()
-    told = [event.text for _, event in recording.events() if event.source == "link"]
+    told = [event.text for _, event in recording.log() if event.source == "link"]
     assert [text.split()[0] for text in told] == ["1", "2", "10"]
     assert verify(recording).frames_compared == bench.link.sent
 
@@ -358,7 +356,7 @@ class TestAnInternalError:
         assert isinstance(bench.error, error)
         assert bench.plan.ending is Ending.ERROR
         assert commands(recording)[-CENTRING_PERIODS:] == [(5.0, 5.0, 5.0)] * CENTRING_PERIODS
-        told = recording.events()[-1][1]
+        told = recording.log()[-1][1]
         assert told.severity is Severity.FATAL
         assert told.text == f"internal error, the run was ended: {error.__name__}: {bench.error}"
         assert verify(recording).frames_compared == bench.link.sent
@@ -419,7 +417,7 @@ class TestAnInternalError:
 def test_a_command_is_sent_when_the_link_has_taken_it(bench: Bench) -> None:
     bench.link.send_takes_ns = 30_000
     recording = bench.run()
-    running = recording.timing()[recording.timing()["state"] == State.RUNNING]
+    running = recording.timing()[recording.timing()["state"] == LifeCycleState.RUNNING]
     assert set(running["sent_ns"] - running["computed_ns"]) == {30_000}
     assert set(running["sent_ns"]) <= set(recording.times_sent(codec.RPDO1_DAC))
     assert set(running["wake_ns"] + 30_000) <= set(recording.times_sent(codec.SYNC))
@@ -428,24 +426,24 @@ def test_a_command_is_sent_when_the_link_has_taken_it(bench: Bench) -> None:
 def test_people_are_told_of_every_event_and_period_and_of_the_recorders_troubles(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    note = Event(Severity.INFO, "rights", "granted: nothing")
-    news = Event(Severity.ERROR, "recorder", "recording ended: No space left on device")
+    note = LogEntry(Severity.INFO, "rights", "granted: nothing")
+    news = LogEntry(Severity.ERROR, "recorder", "recording ended: No space left on device")
     handed_over = iter([None] * 50 + [news])
     real_hand_over = Recorder.hand_over
 
-    def hand_over(recorder: Recorder) -> Event | None:
+    def hand_over(recorder: Recorder) -> LogEntry | None:
         real_hand_over(recorder)
         return next(handed_over, None)
 
     monkeypatch.setattr(Recorder, "hand_over", hand_over)
     bench.session.note(note)
     recording = bench.run()
-    recorded = [event for _, event in recording.events()]
+    recorded = [event for _, event in recording.log()]
     assert note in recorded
     assert [event for event in bench.audience.events if event != news] == recorded
     assert bench.audience.events.count(news) == 1
     assert [cycle.number for cycle in bench.audience.cycles] == list(recording.timing()["number"])
     report = verify(recording)
     assert report.frames_compared == bench.link.sent
-    assert report.events_compared == len(recorded) - 1, "the core gave no rights"
+    assert report.log_entries_compared == len(recorded) - 1, "the core gave no rights"
     assert report.periods_compared == len(recording.timing())

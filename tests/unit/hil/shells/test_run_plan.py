@@ -6,9 +6,9 @@ import pytest
 from support.gateway_bench import Bench, HandGateway, commands, hand, make_rig
 
 from firmware_sim.boards.faults import AdcFaults
-from hil.core.events import Output
 from hil.core.frames import Frame
-from hil.core.life_cycle import State, Trigger
+from hil.core.life_cycle import LifeCycleState, Trigger
+from hil.core.output import Output
 from hil.core.wire import codec
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
 
@@ -59,13 +59,13 @@ class TestOrder:
         triggers = [trigger for _, trigger in run.triggers]
         assert triggers == [Trigger.ARM, Trigger.START, Trigger.STOP]
         assert run.plan.ending is Ending.COMPLETED
-        assert run.bench.gateway.state is State.ARMED
+        assert run.bench.gateway.state is LifeCycleState.ARMED
 
     def test_it_arms_when_ready_and_starts_when_armed(self) -> None:
         plan, gateway = RunPlan(1.0, PERIOD_S), hand()
         assert stepped(plan, gateway) is None
         gateway.lose_sample()
-        gateway.to(State.READY)
+        gateway.to(LifeCycleState.READY)
         assert stepped(plan, gateway) is Trigger.ARM
         assert stepped(plan, gateway) is Trigger.ARM  # as long as it is not
         gateway.operate(Trigger.ARM)
@@ -76,14 +76,14 @@ class TestOrder:
         """Both ends count: setpoints at t = 0, 11.2 ms, ... up to the duration."""
         run = PlannedRun(duration_s)
         run.until()
-        assert sum(cycle.state == State.RUNNING for cycle in run.bench.told.cycles) == samples
+        assert sum(cycle.state == LifeCycleState.RUNNING for cycle in run.bench.told.cycles) == samples
 
     def test_a_board_that_is_lost_before_the_start_is_waited_for(self) -> None:
-        plan, gateway = RunPlan(1.0, PERIOD_S), hand(State.READY)
+        plan, gateway = RunPlan(1.0, PERIOD_S), hand(LifeCycleState.READY)
         gateway.give(Frame(codec.HEARTBEAT_DAC, b"\x00"))
         assert stepped(plan, gateway) is None
         gateway.lose_sample()
-        gateway.to(State.READY)
+        gateway.to(LifeCycleState.READY)
         assert stepped(plan, gateway) is Trigger.ARM
 
 
@@ -109,7 +109,7 @@ class TestEnding:
     def test_an_interrupt_while_running_stops_in_the_next_period(self) -> None:
         run = PlannedRun(duration_s=10.0)
         run.periods(40)
-        assert run.bench.gateway.state is State.RUNNING
+        assert run.bench.gateway.state is LifeCycleState.RUNNING
         run.plan.end(Ending.INTERRUPTED)
         assert not run.plan.is_over
         run.period()
@@ -132,7 +132,7 @@ class TestEnding:
         run.bench.boards.adc.faults = AdcFaults(hung=True)
         run.until()
         assert run.plan.ending is Ending.FAULT
-        assert run.bench.gateway.state is State.FAULT
+        assert run.bench.gateway.state is LifeCycleState.FAULT
         assert [trigger for _, trigger in run.triggers] == [Trigger.ARM, Trigger.START]
 
     def test_a_fault_while_ending_keeps_the_first_reason(self) -> None:
@@ -159,7 +159,7 @@ class TestEnding:
         plan, gateway = RunPlan(10.0, PERIOD_S, 0.1), hand()
         for _ in range(8):
             stepped(plan, gateway)
-        gateway.to(State.READY)
+        gateway.to(LifeCycleState.READY)
         assert stepped(plan, gateway) is Trigger.ARM
 
     @pytest.mark.parametrize("second", list(Ending))
@@ -202,7 +202,7 @@ def test_a_run_that_is_not_over_has_no_ending() -> None:
 
 
 def test_stop_answers_with_the_centre() -> None:
-    output: Output = hand(State.RUNNING).operate(Trigger.STOP)
+    output: Output = hand(LifeCycleState.RUNNING).operate(Trigger.STOP)
     assert commands(output) == [CENTRED]
 
 

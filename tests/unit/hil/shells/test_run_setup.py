@@ -11,7 +11,7 @@ import pytest
 from support.gateway_bench import rig_text
 
 from hil.core.errors import DocumentError, HilError, SetpointError
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
 from hil.shells.run_setup import (
     SHIPPED_CONTROLLERS,
     RunSetup,
@@ -60,7 +60,7 @@ class TestLoading:
     def test_it_makes_a_gateway_that_is_offline(self) -> None:
         setup = load_setup(None, {}, {})
         gateway = setup.gateway(123)
-        assert (gateway.state, gateway.next_deadline_ns) == (State.OFFLINE, 123)
+        assert (gateway.state, gateway.next_deadline_ns) == (LifeCycleState.OFFLINE, 123)
         assert setup.gateway(123) is not gateway
 
     def test_options_replace_what_the_rig_file_says(self) -> None:

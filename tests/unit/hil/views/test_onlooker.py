@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from hil.core.events import AxisSignals, Cycle, Event, Severity
 from hil.core.gateway import Gateway
+from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
 from hil.shells.run_setup import load_setup
 from hil.views.display import STATUS_PERIODS, Display
 from hil.views.onlooker import Onlooker, messages
@@ -84,10 +84,10 @@ def test_the_live_status_fits_80_columns_with_three_axes(state: str) -> None:
 
 def test_the_display_prints_events_and_no_status_where_there_is_no_terminal() -> None:
     program = """
-from hil.core.events import Event, Severity
+from hil.core.output import LogEntry, Severity
 from hil.views.display import Display
 display = Display([("vertical", "m")])
-display.event(Event(Severity.FATAL, "adc", "no good sample for 5 periods"))
+display.log(LogEntry(Severity.FATAL, "adc", "no good sample for 5 periods"))
 display.close()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -115,7 +115,7 @@ def test_a_status_tells_the_worst_lateness_since_the_last(monkeypatch: pytest.Mo
         late_ns = 3_000_000 if number == 5 else 100_000
         due_ns = 7_000_000_000 + number * 11_200_000
         display.cycle(Cycle(number, due_ns, due_ns + late_ns, 0, gateway.state, True, (signals,)), gateway)
-    display.event(Event(Severity.INFO, "adc", "operational"))
+    display.log(LogEntry(Severity.INFO, "adc", "operational"))
     axes, first, second, event = told.messages
     assert axes == {"axes": [("vertical", "m")]}
     assert (first["lateness_ms"], second["lateness_ms"]) == (3.0, 0.1)

@@ -15,8 +15,8 @@ from matplotlib.image import imread
 from support.recorded_runs import AXES, RUN_HEADER, START_NS, in_memory, record_periods, record_run
 
 from hil.core.errors import RecordingError
-from hil.core.events import Event, Severity
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
+from hil.core.output import LogEntry, Severity
 from hil.core.wire.codec import TPDO1_ADC
 from hil.recording.reader import Recording
 from hil.recording.recorder import ARM_EVENTS, Recorder
@@ -48,8 +48,10 @@ def faulted_run(path: Path) -> Path:
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
     record_periods(recorder, 200)
-    recorder.event(Event(Severity.FATAL, "adc", "no good sample for 3 periods"), START_NS + 2_240_000_000)
-    record_periods(recorder, 200, first=200, state=State.FAULT)
+    recorder.log_entry(
+        LogEntry(Severity.FATAL, "adc", "no good sample for 3 periods"), START_NS + 2_240_000_000
+    )
+    record_periods(recorder, 200, first=200, state=LifeCycleState.FAULT)
     recorder.close({})
     return path
 

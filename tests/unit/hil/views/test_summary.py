@@ -22,7 +22,7 @@ from support.recorded_runs import (
     step,
 )
 
-from hil.core.life_cycle import State
+from hil.core.life_cycle import LifeCycleState
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
 from hil.views.summary import Quantiles, StepResponse, Summary, Tracking, summarise
@@ -160,7 +160,7 @@ def test_a_run_that_never_ran_has_timing_alone(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
-    record_periods(recorder, 50, state=State.READY)
+    record_periods(recorder, 50, state=LifeCycleState.READY)
     recorder.close({})
     summary = summarise(Recording(path))
     assert summary.axes == {}

@@ -17,7 +17,7 @@ class Severity(IntEnum):
     FATAL = 50
 
 
-class Event(NamedTuple):
+class LogEntry(NamedTuple):
     """Something a person wants to read. ``source`` is a board, an axis or ``life cycle``."""
 
     severity: Severity
@@ -25,7 +25,7 @@ class Event(NamedTuple):
     text: str
 
 
-class Moderator:
+class LogThrottle:
     """Keeps what comes with every frame from filling a recording: tells the first few of a kind, then those
     at which its number doubles.
     """
@@ -35,7 +35,7 @@ class Moderator:
     def __init__(self) -> None:
         self._numbers: dict[str, int] = {}
 
-    def lets(self, kind: str) -> bool:
+    def should_report(self, kind: str) -> bool:
         """Count one more of ``kind``; whether it is to be told."""
         self._numbers[kind] = number = self._numbers.get(kind, 0) + 1
         return number <= self.FIRST or number.bit_count() == 1
@@ -80,5 +80,5 @@ class Output(NamedTuple):
     """What a call to the core gives back: frames to send at once, in order, and what to report."""
 
     frames: tuple[Frame, ...] = ()
-    events: tuple[Event, ...] = ()
+    log: tuple[LogEntry, ...] = ()
     cycle: Cycle | None = None
