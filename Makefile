@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 PYTHON_CODE := hil firmware_sim design tests
-SOURCES_OF_INSTALL := pyproject.toml requirements.lock $(wildcard firmware_sim/arm/*.c)
+SOURCES_OF_INSTALL := pyproject.toml requirements.lock $(wildcard firmware_sim/arm/*.c hil/host/vcan/*.c)
 
 .SILENT:
 .PHONY: run test bench lock clean run-packages test-packages
@@ -32,7 +32,7 @@ lock: .venv/for-test
 clean:
 	rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find hil firmware_sim design tests -name __pycache__ -prune -exec rm -rf {} +
-	rm -f firmware_sim/arm/*.so
+	rm -f firmware_sim/arm/*.so hil/host/vcan/*.so
 
 .venv/for-run: $(SOURCES_OF_INSTALL) | run-packages
 	$(PYTHON) -m venv .venv

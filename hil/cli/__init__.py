@@ -21,7 +21,7 @@ COMMANDS = {
     "run": ("hil.cli.run", "run the controllers against the rig, and record"),
     "replay": ("hil.cli.replay", "give a recording's calls to the core again, and compare what it sends"),
     "rig": ("hil.cli.rig", "show or copy the example rig file"),
-    "vcan": ("hil.host.vcan", "run a command where a virtual CAN interface exists"),
+    "vcan": ("hil.cli.vcan", "run a command where a virtual CAN interface exists"),
     "doctor": ("hil.host.doctor", "what this machine grants, and what to do about what it does not"),
 }
 PLUGINS = "hil.commands"

@@ -1,7 +1,8 @@
 #!/bin/sh
-# First process of the user-mode Linux that hil/vcan/user_mode_linux.py starts: makes vcan0, runs the job, powers off.
-# $job/settings, $job/command: what to run and how. tty1, tty2: its output and errors.
-# tty3: signals for it, one name a line; closed when nobody waits for the job any more.
+# First process of the user-mode Linux that machine.py, beside, boots: makes vcan0, runs the job, switches off.
+# $job/settings and $job/command say what to run and how. The exit status goes to $job/status.
+# tty1 and tty2 carry the command's output and errors.
+# tty3 carries signals for the command, one name a line. It closes when nobody waits for the job any more.
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 exec 3>/dev/tty1 4>/dev/tty2 </dev/null
 
@@ -39,7 +40,7 @@ run='echo $$ >/run/group; exec sh "$0/command" 3>&- 4>&-'
 if [ "$is_terminal" = yes ]; then
     setsid -w sh -c "$run" "$job" >&3 2>&4
     status=$?
-else # pipes, as outside, so that nobody takes them for a terminal
+else # pipes as outside, so that the command does not take its output for a terminal
     mkfifo /run/output /run/errors
     cat /run/output >&3 &
     output=$!
@@ -49,7 +50,7 @@ else # pipes, as outside, so that nobody takes them for a terminal
     status=$?
 fi
 
-# What the job left behind ends with it; its output does not.
+# Processes that the job left behind are killed. What they wrote is still passed on.
 for process in /proc/[1-9]*; do
     case ${process#/proc/} in
     1 | "$control" | "$output" | "$errors") ;;
@@ -57,7 +58,7 @@ for process in /proc/[1-9]*; do
     esac
 done 2>/dev/null
 [ "$is_terminal" = yes ] || wait "$output" "$errors"
-stty -raw <&3 # returns when all output has left
+stty -raw <&3 # returns when all output is written
 stty -raw <&4
 echo "$status" >"$job/status"
 sync
