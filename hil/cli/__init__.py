@@ -22,7 +22,7 @@ COMMANDS = {
     "replay": ("hil.cli.replay", "give a recording's calls to the core again, and compare what it sends"),
     "rig": ("hil.cli.rig", "show or copy the example rig file"),
     "vcan": ("hil.cli.vcan", "run a command where a virtual CAN interface exists"),
-    "doctor": ("hil.host.doctor", "what this machine grants, and what to do about what it does not"),
+    "doctor": ("hil.cli.doctor", "check what this machine offers a control loop, and what to improve"),
 }
 PLUGINS = "hil.commands"
 """Entry points of other packages: ``hil design`` is one."""

@@ -1,0 +1,62 @@
+"""``hil doctor``: check this machine and print what to improve."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+
+from hil.host.doctor import Check, CheckVerdict, doctor
+
+_STYLES = {
+    CheckVerdict.GOOD: "green",
+    CheckVerdict.FAIR: "yellow",
+    CheckVerdict.MISSING: "bold red",
+}
+
+
+def main(argv: list[str]) -> int:
+    """Print the findings. Returns 1 if something is missing that the simulated rig needs, else 0."""
+    parser = argparse.ArgumentParser(
+        prog="hil doctor",
+        description="Check what this machine offers a control loop, and say what to do about the rest. If "
+        "`hil vcan` needs user-mode Linux here, it is started once, which takes about 3 s. The exit status "
+        "is 1 if something is missing without which the simulated rig cannot run.",
+    )
+    parser.add_argument("--json", action="store_true", help="print a list of objects, for programs")
+    options = parser.parse_args(argv)
+    checks = doctor(_show)
+    if options.json:
+        sys.stdout.write(json.dumps([check._asdict() for check in checks], indent=2) + "\n")
+    else:
+        print_checks(checks)
+    return int(any(check.verdict is CheckVerdict.MISSING for check in checks))
+
+
+def _show(activity: str) -> AbstractContextManager[object]:
+    """Show a moving indicator on a terminal, on the error stream so that output can be piped."""
+    if not sys.stderr.isatty():
+        return nullcontext()
+    from rich.console import Console
+
+    return Console(stderr=True).status(activity)
+
+
+def print_checks(checks: Sequence[Check]) -> None:
+    """Print a table of the findings and, below it, the advice."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for check in checks:
+        verdict = Text(check.verdict, style=_STYLES[check.verdict], no_wrap=True)
+        table.add_row(Text(check.name, no_wrap=True), verdict, Text(check.found))
+    console = Console(highlight=False)
+    console.print(table)
+    for check in checks:
+        if check.advice:  # outside the table, so that a command to copy stays on one line
+            console.print(Text(f"\n{check.name}:", style=_STYLES[check.verdict]))
+            console.print(Text(f"  {check.advice}"), soft_wrap=True)
