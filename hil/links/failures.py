@@ -1,4 +1,4 @@
-"""Why a link failed, in words, and what to do about it."""
+"""Explain why a link failed, and what to do about it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hil.core.errors import LinkError
 
 
 def cause_of(error: BaseException | None) -> OSError | None:
-    """The operating system's error behind one of python-can's."""
+    """Return the operating system's error that caused an error of python-can; None if there is none."""
     while error is not None:
         if isinstance(error, OSError) and error.errno is not None:
             return error
@@ -21,26 +21,29 @@ def cause_of(error: BaseException | None) -> OSError | None:
 
 
 def failure(spec: str, what: str, cause: OSError | None, error: BaseException | None) -> LinkError:
-    """What failed on the link ``spec``, why (``cause``, else the text of ``error``), and what to do."""
+    """Return an error that says what failed on the link ``spec``, why, and what to do.
+
+    The reason is that of ``cause``, or the text of ``error`` if there is no cause.
+    """
     reason = os.strerror(cause.errno) if cause and cause.errno else str(error)
     target = spec.rpartition(":")[2]
     remedy = {
         errno.ENETDOWN: f"bring it up: sudo ip link set {target} up",
-        errno.ENODEV: f"it is gone or no CAN interface; {creation(target)}",
+        errno.ENODEV: f"the interface is gone, or is no CAN interface; {creation(target)}",
         errno.ENXIO: f"the interface is gone; {creation(target)}",
         errno.ENOENT: "is the adapter plugged in? See: ls /dev/serial/by-id",
-        errno.EACCES: "you may not use it: sudo adduser $USER dialout, then log in again",
+        errno.EACCES: "this user may not open it; sudo adduser $USER dialout, then log in again",
         errno.EBUSY: "another program uses it",
         errno.EAGAIN: "another program uses it",
         errno.EADDRNOTAVAIL: "is the loopback interface up? sudo ip link set lo up",
-        errno.EADDRINUSE: "another program has the port; choose another number",
+        errno.EADDRINUSE: "another program uses the port; choose another number",
         errno.EIO: "the adapter was unplugged, or the other end closed the line",
     }.get(cause.errno or 0 if cause else 0)
     return LinkError(f"{spec}: {what}: {reason}" + (f"; {remedy}" if remedy else ""))
 
 
 def creation(interface: str) -> str:
-    """How to make a SocketCAN interface that is missing."""
+    """Return how to make a SocketCAN interface that is missing."""
     if interface.startswith("vcan"):
         return (
             f"make it: sudo ip link add dev {interface} type vcan && sudo ip link set {interface} up; "
@@ -48,5 +51,5 @@ def creation(interface: str) -> str:
         )
     return (
         f"plug the adapter in, then: sudo ip link set {interface} up type can bitrate 500000 "
-        "(`ip -br link` lists what is there)"
+        "(`ip -br link` lists the interfaces)"
     )

@@ -1,8 +1,8 @@
-"""python-can's UDP multicast bus, kept inside this host and independent of its routes.
+"""A UDP multicast bus that stays inside this host.
 
-python-can joins the group on the interface that the routing table gives, and fails where there is none.
-Here the group is joined on the loopback interface, so that nothing leaves the host and nothing from
-outside is heard. Another program's python-can on the same group and port hears this bus.
+python-can joins the multicast group on the interface that the routing table selects, and fails without a
+route. This bus joins the group on the loopback interface. No frame leaves the host, and no frame from another
+host is received. Another program that uses python-can with the same group and port receives its frames.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from can.interfaces.udp_multicast.bus import SO_TIMESTAMPNS, GeneralPurposeUdpMu
 
 GROUP: Final = UdpMulticastBus.DEFAULT_GROUP_IPv4
 _LOOPBACK: Final = "127.0.0.1"
-_IP_MULTICAST_ALL: Final = 49
+_IP_MULTICAST_ALL: Final = 49  # linux: linux/in.h
 
 
 class HostMulticastBus(UdpMulticastBus):
-    """A bus of all programs on this host that opened the same ``port``."""
+    """A bus of all programs on this host that open the same ``port``."""
 
     def __init__(self, port: int) -> None:
-        """Raises CanInitializationError."""
+        """Open the bus on UDP port ``port``. Raises CanInitializationError."""
         self._multicast = _LoopbackMulticast(GROUP, port, hop_limit=0)
         BusABC.__init__(self, GROUP)
-        self._can_protocol = CanProtocol.CAN_FD  # delivered, so that the link can count and refuse them
+        self._can_protocol = CanProtocol.CAN_FD  # accepts CAN FD, so that the link counts and discards it
 
     @property
     def socket(self) -> socket.socket:
-        """The socket, for its options."""
+        """Socket of this bus, to set and read its options."""
         return self._multicast._socket
 
 

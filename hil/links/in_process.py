@@ -1,4 +1,4 @@
-"""python-can's virtual bus with a bounded queue and a file descriptor to wait on."""
+"""A bus inside this process: python-can's virtual bus with a bounded queue that ``select`` can wait for."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from can import Message
 from can.interfaces.virtual import VirtualBus, channels_lock
 
 _QUEUE_FRAMES: Final = 4096
+"""Number of frames that wait for one link before others are refused."""
 
 
 class InProcessBus(VirtualBus):
-    """A bus of all links in this process that have the same ``name``."""
+    """A bus of all links in this process that use the same name."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -23,15 +24,15 @@ class InProcessBus(VirtualBus):
             self.channel.append(self.queue)
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
-        """Give ``msg`` to every other link; a full queue refuses it at once."""
+        """Deliver ``msg`` to every other link. A full queue refuses it at once."""
         super().send(msg, timeout=0)
 
     def fileno(self) -> int:
-        """Readable while frames wait."""
+        """Return a descriptor that is readable while frames wait."""
         return self.queue.descriptor
 
     def shutdown(self) -> None:
-        """Leave the bus; safe to repeat."""
+        """Leave the bus. Leaving twice is no error."""
         was_open = self._open
         super().shutdown()
         if was_open:
@@ -39,7 +40,7 @@ class InProcessBus(VirtualBus):
 
 
 class _SignallingQueue(queue.Queue[Message]):
-    """Keeps the count of an eventfd equal to the number of its messages."""
+    """A queue with an eventfd whose count equals the number of waiting messages."""
 
     def __init__(self, maxsize: int) -> None:
         super().__init__(maxsize)

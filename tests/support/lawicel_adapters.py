@@ -1,4 +1,4 @@
-"""Two serial adapters on one CAN bus, as pseudo-terminals that speak the Lawicel protocol."""
+"""Two serial adapters on one CAN bus: pseudo-terminals that speak the Lawicel protocol."""
 
 import os
 import select
@@ -9,6 +9,8 @@ from typing import Self
 
 
 class Adapter:
+    """One adapter. ``device`` is the path of its serial line."""
+
     def __init__(self) -> None:
         self.line, slave = os.openpty()
         tty.setraw(slave)
@@ -18,12 +20,13 @@ class Adapter:
         self.on_bus = False
         self.commands: list[bytes] = []
         self.refused: set[bytes] = set()
-        self.deaf_to = 0
+        self.ignored_lines = 0
+        """Number of lines that stay without an answer, as while an Arduino boots."""
         self.incoming = b""
         self.outgoing: deque[bytes] = deque()
 
     def answer(self, line: bytes) -> bytes:
-        """CR, BELL, or z and CR, as the CAN232 manual has it; on or off the bus as the command says."""
+        """Return the answer that the CAN232 manual gives: CR, BELL, or z and CR. Join or leave the bus."""
         self.commands.append(line)
         name = line[:1]
         if line in self.refused or (name in b"tTrR" and not self.on_bus):
@@ -36,7 +39,7 @@ class Adapter:
 
 
 class TwoAdapters:
-    """Run by a thread of their own until the ``with`` ends."""
+    """The bus and its adapters, which a thread serves until the ``with`` statement ends."""
 
     def __init__(self) -> None:
         self.one, self.other = self.both = (Adapter(), Adapter())
@@ -91,8 +94,8 @@ class TwoAdapters:
         *lines, adapter.incoming = (adapter.incoming + os.read(adapter.line, 65536)).split(b"\r")
         peer = self.other if adapter is self.one else self.one
         for line in lines:
-            if adapter.deaf_to:
-                adapter.deaf_to -= 1
+            if adapter.ignored_lines:
+                adapter.ignored_lines -= 1
                 continue
             answer = adapter.answer(line)
             adapter.outgoing.append(answer)

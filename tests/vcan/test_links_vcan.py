@@ -1,6 +1,5 @@
-"""SocketCAN passes the links' contract, and tells what the kernel tells."""
+"""SocketCAN passes the contract of links and reports the kernel's errors."""
 
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -8,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.lawicel_adapters import TwoAdapters
-from support.link_contract import KINDS, ErrorFramesToo, LinkContract, Pair, arrived
+from support.link_contract import KINDS, ErrorFrameContract, LinkContract, Pair, arrived, overflow
 
 from hil.core.errors import LinkError
 from hil.core.frames import Frame
@@ -27,7 +26,7 @@ def ip(*arguments: str) -> None:
     subprocess.run(["ip", *arguments], check=True)
 
 
-class TestSocketCan(LinkContract, ErrorFramesToo):
+class TestSocketCan(LinkContract, ErrorFrameContract):
     origin = "kernel"
 
     @pytest.fixture
@@ -36,16 +35,9 @@ class TestSocketCan(LinkContract, ErrorFramesToo):
             yield one, other
 
     def test_frames_lost_in_a_full_queue_are_counted(self, pair: Pair) -> None:
-        sender, receiver = pair
-        with socket.socket(fileno=socket.dup(receiver.fileno())) as same:
-            same.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 0)
-        for number in range(100):
-            sender.send(Frame(number))
-        heard = 0
-        while receiver.receive(0):
-            heard += 1
-        assert 0 < heard < 100
-        assert receiver.dropped() == 100 - heard
+        received, dropped = overflow(*pair)
+        assert 0 < received < 100
+        assert dropped == 100 - received
 
     def test_candump_reads_what_a_link_sends(self, pair: Pair) -> None:
         with subprocess.Popen(
@@ -72,7 +64,7 @@ class TestInterface:
         yield "vcan7"
         subprocess.run(["ip", "link", "delete", "vcan7"], stderr=subprocess.DEVNULL)
 
-    def test_going_down_is_a_link_error_with_the_remedy(self, interface: str) -> None:
+    def test_one_that_goes_down_is_a_link_error_with_the_remedy(self, interface: str) -> None:
         with open_link(interface) as link:
             ip("link", "set", interface, "down")
             with pytest.raises(LinkError) as caught:
@@ -83,7 +75,7 @@ class TestInterface:
             with pytest.raises(LinkError, match="cannot send: Network is down"):
                 link.send(Frame(1))
 
-    def test_opened_anew_it_works_when_the_interface_is_up_again(self, interface: str) -> None:
+    def test_a_link_that_is_opened_again_works_when_the_interface_is_up_again(self, interface: str) -> None:
         with open_link(interface) as link, open_link(interface) as other:
             ip("link", "set", interface, "down")
             with pytest.raises(LinkError):
@@ -98,12 +90,12 @@ class TestInterface:
             assert link.send(Frame(0x42))
             assert arrived(other) == Frame(0x42)
 
-    def test_being_down_is_a_link_error_with_the_remedy(self, interface: str) -> None:
+    def test_one_that_is_down_is_a_link_error_with_the_remedy(self, interface: str) -> None:
         ip("link", "set", interface, "down")
         with pytest.raises(LinkError, match="cannot be opened: Network is down; bring it up"):
             open_link(interface)
 
-    def test_disappearing_is_a_link_error(self, interface: str) -> None:
+    def test_one_that_disappears_is_a_link_error(self, interface: str) -> None:
         with open_link(interface) as link:
             ip("link", "delete", interface)
             with pytest.raises(LinkError, match="cannot receive"):
@@ -111,7 +103,7 @@ class TestInterface:
             with pytest.raises(LinkError, match="cannot send"):
                 link.send(Frame(1))
 
-    def test_missing_says_how_to_make_it(self) -> None:
+    def test_the_message_about_a_missing_one_says_how_to_make_it(self) -> None:
         with pytest.raises(LinkError) as caught:
             open_link("vcan9")
         assert str(caught.value) == (
@@ -119,7 +111,7 @@ class TestInterface:
             "sudo ip link set vcan9 up; or run the command under `hil vcan -- …`"
         )
 
-    def test_of_another_kind_is_a_link_error(self) -> None:
+    def test_one_of_another_kind_is_a_link_error(self) -> None:
         with pytest.raises(LinkError, match="lo: cannot be opened: No such device"):
             open_link("lo")
 

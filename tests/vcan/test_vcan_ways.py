@@ -1,4 +1,4 @@
-"""The ways of ``hil vcan`` that need a kernel with vcan."""
+"""The ways of ``hil vcan`` that need a kernel with vcan: an interface of the host, and a namespace."""
 
 import subprocess
 import sys
@@ -21,14 +21,14 @@ def test_an_interface_that_is_up_is_used() -> None:
     assert subprocess.run([*VCAN, "no-such-command"], capture_output=True).returncode == 127
 
 
-def test_where_there_is_none_a_namespace_is_made() -> None:
+def test_without_an_interface_a_namespace_is_made() -> None:
     elsewhere = ["unshare", "-n"]
     assert way_in(elsewhere) == "NAMESPACE"
     done = subprocess.run([*elsewhere, *VCAN, "sh", "-c", EXCHANGE], capture_output=True, text=True)
     assert (done.stdout.split()[1:], done.returncode) == (["vcan0", "123#C0FFEE"], 9), done.stderr
 
 
-def test_an_interface_that_is_down_is_left_alone() -> None:
+def test_an_interface_that_is_down_is_not_used() -> None:
     down = ["unshare", "-n", "sh", "-c", 'ip link add dev vcan0 type vcan && exec "$@"', "sh"]
     assert way_in(down) == "NAMESPACE"
 

@@ -1,0 +1,106 @@
+"""Open a bus by its name."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+from typing import TYPE_CHECKING, Final, Literal
+
+from hil.core.errors import LinkError
+from hil.links.failures import cause_of, creation, failure
+from hil.links.sockets import prepare
+
+if TYPE_CHECKING:
+    import can
+
+Origin = Literal["hardware", "kernel", "user"]
+"""Clock of a time stamp.
+
+``hardware``: the adapter's. ``kernel``: the host's, when the kernel queued the frame. ``user``: the host's,
+when this program read the frame.
+"""
+
+BUS_FORMS: Final = """\
+  vcan0, can0, …               a SocketCAN interface (also socketcan:can0)
+  slcan:/dev/ttyACM0[@115200]  a serial adapter that speaks the Lawicel protocol
+  udp:43113                    UDP multicast inside this host, by port number"""
+"""Forms of a bus's name, for help texts and messages.
+
+``inproc:NAME``, a bus of all links in this process, is for tests and Python programs only: on a command line
+no other node can join it.
+"""
+
+_DEFAULT_BAUD: Final = 115_200
+_PORTS: Final = range(1024, 65536)
+
+
+def open_bus(spec: str) -> tuple[can.BusABC, Origin]:
+    """Open the bus that ``spec`` names; return it with the clock of its time stamps. Raises LinkError."""
+    import logging
+
+    logging.getLogger("can").addHandler(logging.NullHandler())  # failures are reported by LinkError alone
+    scheme, colon, rest = spec.partition(":")
+    if not colon:
+        scheme, rest = "socketcan", spec
+    if scheme == "socketcan" and re.fullmatch(r"[\w.-]{1,15}", rest, re.ASCII):
+        return _open_socketcan(spec, rest), "kernel"
+    if scheme == "slcan" and (match := re.fullmatch(r"(/[^@]+)(?:@(\d{4,7}))?", rest)):
+        return _open_slcan(spec, match[1], int(match[2] or _DEFAULT_BAUD)), "user"
+    if scheme == "udp" and re.fullmatch(r"\d{1,9}", rest, re.ASCII) and int(rest) in _PORTS:
+        return _open_udp(spec, int(rest)), "kernel"
+    if scheme == "inproc" and rest:
+        from hil.links.in_process import InProcessBus
+
+        return InProcessBus(rest), "user"
+    raise LinkError(f"{spec!r} names no bus. Use one of these forms:\n{BUS_FORMS}")
+
+
+def _open_socketcan(spec: str, interface: str) -> can.BusABC:
+    try:
+        socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError as error:
+        raise LinkError(
+            f"{spec}: this kernel has no SocketCAN ({error.strerror}); run the command under "
+            "`hil vcan -- …`, or load the module: sudo modprobe can-raw"
+        ) from None
+    try:
+        socket.if_nametoindex(interface)
+    except OSError:
+        raise LinkError(f"{spec}: there is no interface {interface}; {creation(interface)}") from None
+    from can.interfaces.socketcan import SocketcanBus
+
+    try:
+        bus = SocketcanBus(interface)
+    except OSError as error:
+        raise failure(spec, "cannot be opened", error, error) from None
+    pending_error = bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    if pending_error:  # the interface is down
+        bus.shutdown()
+        raise failure(spec, "cannot be opened", OSError(pending_error, os.strerror(pending_error)), None)
+    prepare(bus.socket)
+    return bus
+
+
+def _open_udp(spec: str, port: int) -> can.BusABC:
+    from can import CanError
+
+    from hil.links.host_multicast import HostMulticastBus
+
+    try:
+        bus = HostMulticastBus(port)
+    except (CanError, OSError) as error:
+        raise failure(spec, "cannot be opened", cause_of(error), error) from None
+    prepare(bus.socket)
+    return bus
+
+
+def _open_slcan(spec: str, device: str, baud: int) -> can.BusABC:
+    from can import CanError
+
+    from hil.links.lawicel import LawicelBus
+
+    try:
+        return LawicelBus(device, baud)
+    except (CanError, OSError, ValueError) as error:
+        raise failure(spec, "cannot be opened", cause_of(error), error) from None
