@@ -1,1 +1,1 @@
-"""What depends on this machine: preflight checks, real-time rights, virtual CAN, child processes."""
+"""Parts that depend on the machine: preflight checks, real-time rights, virtual CAN, child processes."""

@@ -1,4 +1,4 @@
-"""How processes that were started here end: waited for with patience, then killed. Nothing else of them."""
+"""Wait for a child process to exit, and kill it after a timeout."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ import subprocess
 from typing import Any
 
 
-def await_end(process: subprocess.Popen[Any], patience_s: float) -> int | None:
-    """Its exit status; None where it was stopped, or hung, and had to be killed after ``patience_s``."""
+def await_end(process: subprocess.Popen[Any], timeout_s: float) -> int | None:
+    """Wait until ``process`` exits and return its exit status.
+
+    After ``timeout_s`` seconds the process is killed and the result is None. It hung, or a signal had
+    stopped it.
+    """
     try:
-        return process.wait(patience_s)
+        return process.wait(timeout_s)
     except subprocess.TimeoutExpired:
         process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):  # asleep in the kernel: a disk that hangs
-            process.wait(patience_s)
+        with contextlib.suppress(subprocess.TimeoutExpired):  # it waits in the kernel, as for a disk
+            process.wait(timeout_s)
         return None

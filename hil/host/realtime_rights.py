@@ -1,8 +1,9 @@
-"""The rights of the real-time loop: each is asked for, and what was granted is told, never assumed.
+"""Request the real-time rights for the calling thread, report what was granted, and restore everything.
 
-Lives here: SCHED_FIFO, memory lock, processor, timer slack, processor sleep and the frozen garbage
-collector, for the calling thread, given back at the end. Does not live here: advice on how to obtain what
-was refused (``hil doctor``).
+The rights are SCHED_FIFO, locked memory, a fixed processor, no timer slack, no deep processor sleep, and a
+garbage collector that is frozen and off. Linux refuses real-time priority to most sessions. A refusal is no
+error, but it is reported, so that a loop without a right does not look like a loop that has it.
+``hil doctor`` says how to obtain a refused right.
 """
 
 from __future__ import annotations
@@ -17,38 +18,44 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 FIFO_PRIORITY: Final = 49
-"""Under 50, where a PREEMPT_RT kernel runs the interrupts that the loop waits for."""
+"""Priority of the loop. It is below 50, the priority of interrupt threads in a PREEMPT_RT kernel."""
 
-_MCL_CURRENT: Final = 1
-_MCL_FUTURE: Final = 2
-_PR_SET_TIMERSLACK: Final = 29
-_PR_GET_TIMERSLACK: Final = 30
-_CAP_IPC_LOCK: Final = 14
-_LEAST_RTTIME_US: Final = 200_000
-"""A loop may be busy for many periods at once (a long backlog) and must not be killed for it."""
+_MCL_CURRENT: Final = 1  # linux: asm-generic/mman.h
+_MCL_FUTURE: Final = 2  # linux: asm-generic/mman.h
+_PR_SET_TIMERSLACK: Final = 29  # linux: linux/prctl.h
+_PR_GET_TIMERSLACK: Final = 30  # linux: linux/prctl.h
+_CAP_IPC_LOCK: Final = 14  # linux: linux/capability.h
+_MIN_RTTIME_US: Final = 200_000
+"""Smallest limit RLIMIT_RTTIME under which the loop takes SCHED_FIFO.
+
+The kernel kills a real-time thread that is busy for longer than the limit without a pause. A loop that works
+off a backlog may be busy for many periods.
+"""
 
 Request = Callable[[contextlib.ExitStack], str]
+"""Function that takes one right and says what it got. It adds to the stack what restores the former state."""
 
 
 class Right(NamedTuple):
-    """One thing asked for. ``detail`` says what was granted, or why not."""
+    """One right that was requested."""
 
     name: str
     is_granted: bool
     detail: str
+    """What was granted, or the reason of the refusal."""
 
 
 class Rights(tuple[Right, ...]):
-    """What was asked for, in order."""
+    """All rights that were requested, in the order of the requests."""
 
     def __str__(self) -> str:
-        """One line: what was granted; what was refused, and why."""
+        """Return one line: what was granted, and what was refused and why."""
         granted = ", ".join(f"{right.name} ({right.detail})" for right in self if right.is_granted)
         refused = ", ".join(f"{right.name} ({right.detail})" for right in self if not right.is_granted)
         return f"granted: {granted or 'nothing'}; refused: {refused or 'nothing'}"
 
     def as_metadata(self) -> dict[str, str]:
-        """Name to ``granted: …`` or ``refused: …``."""
+        """Return for each name a text ``granted: …`` or ``refused: …``, for the recording."""
         return {
             right.name: f"{'granted' if right.is_granted else 'refused'}: {right.detail}" for right in self
         }
@@ -56,77 +63,80 @@ class Rights(tuple[Right, ...]):
 
 @contextlib.contextmanager
 def real_time_rights() -> Iterator[Rights]:
-    """Ask for every right for the calling thread; on leaving, give them back. Refusals raise nothing."""
-    with contextlib.ExitStack() as give_back:
-        yield Rights(_asked(name, request, give_back) for name, request in _REQUESTS.items())
+    """Request every right for the calling thread, and restore the former state at the end.
+
+    A refusal raises no error.
+    """
+    with contextlib.ExitStack() as restore:
+        yield Rights(_request(name, request, restore) for name, request in _REQUESTS.items())
 
 
-def _asked(name: str, request: Request, give_back: contextlib.ExitStack) -> Right:
+def _request(name: str, request: Request, restore: contextlib.ExitStack) -> Right:
     try:
-        return Right(name, True, request(give_back))
+        return Right(name, True, request(restore))
     except OSError as error:
         return Right(name, False, error.strerror or str(error))
 
 
-def _freeze_collector(give_back: contextlib.ExitStack) -> str:
+def _freeze_collector(restore: contextlib.ExitStack) -> str:
     gc.collect()
     gc.freeze()
-    give_back.callback(gc.unfreeze)
+    restore.callback(gc.unfreeze)
     if gc.isenabled():
         gc.disable()
-        give_back.callback(gc.enable)
+        restore.callback(gc.enable)
     return "frozen and off"
 
 
-def _set_timer_slack(give_back: contextlib.ExitStack) -> str:
+def _set_timer_slack(restore: contextlib.ExitStack) -> str:
     before_ns = _libc("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
     _libc("prctl", _PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    give_back.callback(_libc, "prctl", _PR_SET_TIMERSLACK, before_ns, 0, 0, 0)
+    restore.callback(_libc, "prctl", _PR_SET_TIMERSLACK, before_ns, 0, 0, 0)
     return "1 ns"
 
 
-def _keep_awake(give_back: contextlib.ExitStack) -> str:
-    """Processors stay out of deep sleep as long as the file is open; see the kernel's pm_qos_interface."""
-    request = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
-    give_back.callback(os.close, request)
-    os.write(request, (0).to_bytes(4, "little"))
+def _keep_awake(restore: contextlib.ExitStack) -> str:
+    """Keep the processors out of deep sleep while the file is open (Linux: pm_qos_interface)."""
+    descriptor = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
+    restore.callback(os.close, descriptor)
+    os.write(descriptor, (0).to_bytes(4, "little"))
     return "latency 0 us"
 
 
-def _lock_memory(give_back: contextlib.ExitStack) -> str:
+def _lock_memory(restore: contextlib.ExitStack) -> str:
     _, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (hard, hard))
     is_unlimited = hard == resource.RLIM_INFINITY or _has_capability(_CAP_IPC_LOCK)
-    # Under a limit, locking what comes later would let allocations fail in the middle of a run.
+    # Under a limit, locking future memory too would make allocations fail in the middle of a run.
     _libc("mlockall", _MCL_CURRENT | _MCL_FUTURE if is_unlimited else _MCL_CURRENT)
-    give_back.callback(_libc, "munlockall")
-    return "all" if is_unlimited else "what is in use now"
+    restore.callback(_libc, "munlockall")
+    return "all" if is_unlimited else "memory in use at the start"
 
 
-def _take_fifo(give_back: contextlib.ExitStack) -> str:
+def _take_fifo(restore: contextlib.ExitStack) -> str:
     _, hard_us = resource.getrlimit(resource.RLIMIT_RTTIME)
-    if hard_us != resource.RLIM_INFINITY and hard_us < _LEAST_RTTIME_US:
+    if hard_us != resource.RLIM_INFINITY and hard_us < _MIN_RTTIME_US:
         raise OSError(0, f"RLIMIT_RTTIME of {hard_us} us would kill a busy loop")
     resource.setrlimit(resource.RLIMIT_RTTIME, (hard_us, hard_us))
     before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     os.sched_setscheduler(0, policy, os.sched_param(FIFO_PRIORITY))
-    # An unprivileged thread may not take the flag off again.
-    give_back.callback(os.sched_setscheduler, 0, before | os.SCHED_RESET_ON_FORK, parameter)
+    # An unprivileged thread may not clear the flag again.
+    restore.callback(os.sched_setscheduler, 0, before | os.SCHED_RESET_ON_FORK, parameter)
     return f"priority {FIFO_PRIORITY}"
 
 
-def _take_processor(give_back: contextlib.ExitStack) -> str:
-    """One processor: an isolated one, else the last, since the first serves most interrupts.
+def _take_processor(restore: contextlib.ExitStack) -> str:
+    """Bind the thread to one processor: an isolated one, else the last, as the first serves most interrupts.
 
-    Only under SCHED_FIFO: a thread without priority is better off where it can move away.
+    Only with SCHED_FIFO: a thread without priority must be able to move to an idle processor.
     """
     before = os.sched_getaffinity(0)
     chosen = max(_isolated_processors() & before, default=max(before))
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_FIFO:
-        raise OSError(0, "of no use without SCHED_FIFO")
+        raise OSError(0, "not useful without SCHED_FIFO")
     os.sched_setaffinity(0, {chosen})
-    give_back.callback(os.sched_setaffinity, 0, before)
+    restore.callback(os.sched_setaffinity, 0, before)
     return f"number {chosen} of {len(before)}"
 
 
@@ -141,7 +151,7 @@ _REQUESTS: Final[dict[str, Request]] = {
 
 
 def _isolated_processors() -> set[int]:
-    """The processors that the kernel's ``isolcpus=`` keeps free, from a list such as ``2-3,5``."""
+    """Return the processors that ``isolcpus=`` keeps free, from the kernel's list, such as ``2-3,5``."""
     processors: set[int] = set()
     with contextlib.suppress(OSError):
         for part in Path("/sys/devices/system/cpu/isolated").read_text().split(","):

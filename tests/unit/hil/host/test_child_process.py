@@ -1,4 +1,4 @@
-"""Processes that hang, at the end of a run: each is waited for a while, then killed."""
+"""Child processes that hang are killed after a timeout."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hil.host.child_process import await_end
 
 
 def process(program: str) -> subprocess.Popen[bytes]:
-    """A Python process that has begun to run ``program``."""
+    """Return a Python process that has begun to run ``program``."""
     started = subprocess.Popen(
         [sys.executable, "-c", f"print(flush=True)\n{program}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
@@ -33,7 +33,7 @@ def stopped() -> Iterator[subprocess.Popen[bytes]]:
         started.kill()
 
 
-def test_a_process_that_ends_gives_its_status() -> None:
+def test_the_status_of_a_process_that_exits_is_returned() -> None:
     with process("import sys; sys.exit(3)") as started:
         assert await_end(started, 60.0) == 3
 
@@ -43,7 +43,7 @@ def test_a_stopped_process_is_killed(stopped: subprocess.Popen[bytes]) -> None:
     assert stopped.wait() == -signal.SIGKILL
 
 
-def test_boards_that_hang_do_not_hold_up_the_end_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_boards_that_hang_do_not_delay_the_end_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(launch, "BOARDS_PATIENCE_S", 0.05)
     before = set(children_of(os.getpid()))
     options = run._parser().parse_args(["--linear"])

@@ -1,4 +1,4 @@
-"""Rights are asked for, told truly, and given back. What this machine grants is not known beforehand."""
+"""Real-time rights are requested, reported and restored. The tests do not know what this machine grants."""
 
 import gc
 import os
@@ -14,7 +14,7 @@ NAMES = ["garbage collector", "timer slack", "processor sleep", "memory lock", "
 
 
 def state() -> dict[str, object]:
-    """What the kernel and the interpreter say of this thread."""
+    """Return what the kernel and the interpreter say about this thread."""
     status = Path("/proc/self/status").read_text()
     return {
         "policy": os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK,
@@ -32,7 +32,7 @@ def is_granted(rights: Rights, name: str) -> bool:
     return right.is_granted
 
 
-def test_what_is_told_is_what_the_kernel_says() -> None:
+def test_the_report_agrees_with_the_kernel() -> None:
     before = state()
     with real_time_rights() as rights:
         during = state()
@@ -51,38 +51,38 @@ def test_what_is_told_is_what_the_kernel_says() -> None:
         assert during["processors"] == before["processors"]
 
 
-def test_everything_is_given_back() -> None:
+def test_the_former_state_is_restored() -> None:
     before = state()
     with real_time_rights():
         pass
     assert state() == before
 
 
-def test_everything_is_given_back_after_an_error() -> None:
+def test_the_former_state_is_restored_after_an_error() -> None:
     before = state()
     with pytest.raises(ZeroDivisionError), real_time_rights():
         1 / 0  # noqa: B018
     assert state() == before
 
 
-def test_a_refusal_is_told_with_its_reason_and_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_is_reported_with_its_reason_and_raises_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_arguments: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     processors = os.sched_getaffinity(0)
     with real_time_rights() as rights:
-        assert os.sched_getaffinity(0) == processors, "no priority, no pinning"
-    told = rights.as_metadata()
-    assert list(told) == NAMES
-    assert told["SCHED_FIFO"] == "refused: Operation not permitted"
-    assert told["processor"] == "refused: of no use without SCHED_FIFO"
-    assert told["garbage collector"] == "granted: frozen and off"
+        assert os.sched_getaffinity(0) == processors, "without priority, the thread is not bound"
+    reported = rights.as_metadata()
+    assert list(reported) == NAMES
+    assert reported["SCHED_FIFO"] == "refused: Operation not permitted"
+    assert reported["processor"] == "refused: not useful without SCHED_FIFO"
+    assert reported["garbage collector"] == "granted: frozen and off"
     assert "refused: " in str(rights)
     assert "SCHED_FIFO (Operation not permitted)" in str(rights).partition("refused: ")[2]
 
 
-def test_a_limit_that_would_kill_a_busy_loop_is_found_before_it_does() -> None:
+def test_under_a_limit_that_would_kill_a_busy_loop_priority_is_not_taken() -> None:
     program = (
         "import resource; from hil.host.realtime_rights import real_time_rights\n"
         "resource.setrlimit(resource.RLIMIT_RTTIME, (50_000, 50_000))\n"
@@ -92,7 +92,7 @@ def test_a_limit_that_would_kill_a_busy_loop_is_found_before_it_does() -> None:
     assert done.stdout == "refused: RLIMIT_RTTIME of 50000 us would kill a busy loop\n"
 
 
-def test_soft_limits_are_raised_to_the_hard_ones() -> None:
+def test_soft_limits_are_raised_to_the_hard_limits() -> None:
     program = (
         "import resource; from hil.host.realtime_rights import real_time_rights\n"
         "resource.setrlimit(resource.RLIMIT_RTTIME, (50_000, 5_000_000))\n"
