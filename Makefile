@@ -44,7 +44,7 @@ clean:
 	$(BIN)/pip install -qq --disable-pip-version-check -c requirements.lock -e '.[test]'
 	touch $@ .venv/for-run
 
-# Debian packages, each only where what it provides is missing.
+# Install the Debian packages of programs that are missing.
 run-packages:
 	$(MISSING); \
 	$(PYTHON) -c 'import ensurepip' 2>/dev/null || need python3-venv; \
