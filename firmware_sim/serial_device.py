@@ -1,6 +1,7 @@
-"""A pseudo-terminal with a Lawicel adapter behind it: the serial link is tested with real bytes.
+"""A serial device (pseudo-terminal) with a simulated Lawicel CAN adapter behind it.
 
-It has the methods of ``hil.links.Link`` that the boards need, seen from the adapter's CAN side.
+A host opens the device like a real adapter, so the serial link is tested with real bytes. For the boards the
+device is a bus: it has the methods of ``hil.links.Link`` that they use.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ from firmware_sim.boards.lawicel import LawicelAdapter
 from hil.core.frames import Frame
 from hil.links import Received
 
-_QUEUE_BYTES: Final = 4096
-"""Bytes kept for a host that does not read; what comes after is lost and flagged."""
+_MAX_UNSENT_BYTES: Final = 4096
+"""Limit of the queue to a host that does not read. Data beyond it is lost, and the status flag says so."""
 
 
 class SerialDevice:
-    """A serial device at ``path``; open for hosts from construction to ``close``."""
+    """A serial device at ``path``. Hosts can open it from construction to ``close``."""
 
     def __init__(self) -> None:
-        # The host's side stays open here too, so that hosts may come and go.
+        # This process keeps the host's side open too; else the line would hang up when the first host leaves.
         self._line, self._host_side = os.openpty()
         tty.setraw(self._host_side)
         os.set_blocking(self._line, False)
@@ -34,11 +35,11 @@ class SerialDevice:
         self._unsent = b""
 
     def send(self, frame: Frame) -> None:
-        """A board's frame goes to the host; never waits for it."""
+        """Send a board's frame to the host. Never blocks."""
         self._write(self._adapter.from_bus(frame, time.monotonic_ns()))
 
     def receive(self, timeout_s: float) -> Received | None:
-        """The host's next frame, or None when none came within ``timeout_s`` seconds."""
+        """Return the next frame from the host, or None if none arrives within ``timeout_s`` seconds."""
         end = time.monotonic() + timeout_s
         while not self._arrived:
             left = end - time.monotonic()
@@ -55,12 +56,12 @@ class SerialDevice:
         return Received(self._arrived.popleft(), time.time_ns(), "user")
 
     def close(self) -> None:
-        """Take the device away; a host that has it open sees its line hang up."""
+        """Remove the device. A host that has it open sees its line hang up."""
         os.close(self._line)
         os.close(self._host_side)
 
     def _write(self, data: bytes) -> None:
-        if len(self._unsent) + len(data) > _QUEUE_BYTES:
+        if len(self._unsent) + len(data) > _MAX_UNSENT_BYTES:
             self._adapter.overrun()
             data = b""
         self._unsent += data

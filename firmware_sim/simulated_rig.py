@@ -1,29 +1,34 @@
-"""Both boards and the plant between them behind one interface, the gateway core's mirror image.
+"""Both simulated boards and the plant between them, as one state machine.
 
-Frames and the time in, frames out; no clock, no I/O, so that the lockstep shell and a process on a real bus
-run the same code. The plant is brought up to date at every SYNC and before every change of a valve voltage.
-It rests until its first sample: its time, and that of what will happen to it, counts from there, however long
-the boards waited for their gateway.
+The rig is given frames and the time; it returns frames. It reads no clock and does no I/O, so the lockstep
+shell and a process on a real bus run the same code.
+
+The rig advances the plant at every SYNC and before every change of a valve voltage. The plant's time starts
+at the first sample, or at the first change of a valve voltage if that is earlier, however long the boards
+waited for their gateway. The times of the arm's events count from there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from firmware_sim.boards.boards import AdcBoard, DacBoard, Volts
-from firmware_sim.boards.canopen_slave import NEVER, Frames, State
+from firmware_sim.boards.adc import AdcBoard
+from firmware_sim.boards.canopen_slave import NEVER, Frames, SlaveState
 from firmware_sim.boards.codec import SYNC_ID
+from firmware_sim.boards.dac import DacBoard, Volts
 from firmware_sim.plants.plant import Plant
 from hil.core.frames import Frame
 from hil.core.rig import Rig
 
 
 class SimulatedRig:
-    """The boards of ``rig`` with ``plant`` on their pins.
+    """The boards that a rig file describes, with a plant on their pins.
 
-    ``resolution_bits`` of both converters, ``heartbeat_ns`` between the boards' heartbeats. Faults are set
-    on ``adc.faults`` and ``dac.faults``. A plant that fails raises its HilError out of any method; after
-    that the rig must not be called again.
+    ``plant`` is any object with the methods of ``firmware_sim.plants.plant.Plant``. ``resolution_bits`` is
+    the resolution of both converters, ``heartbeat_ns`` the time between two heartbeats of a board. To break a
+    board, set ``adc.faults`` or ``dac.faults`` (``firmware_sim.boards.faults``).
+
+    Every method raises the HilError of a plant that fails. After that the rig must not be called again.
     """
 
     def __init__(
@@ -36,19 +41,22 @@ class SimulatedRig:
         self.dac = DacBoard(rig, self._drive, resolution_bits=resolution_bits, heartbeat_ns=heartbeat_ns)
         self._held_v: Sequence[float] = self.dac.valve_v
         self._plant_ns = NEVER
-        self._longest_advance_ns = heartbeat_ns
+        self._max_advance_ns = heartbeat_ns
 
     @property
     def next_deadline_ns(self) -> int:
-        """When ``on_deadline`` is to be called."""
+        """Time of the next call of ``on_deadline``."""
         return min(self.adc.next_deadline_ns, self.dac.next_deadline_ns)
 
     def start(self, now_ns: int) -> Frames:
-        """Power on: the boards' boot-up messages."""
+        """Power the boards on. Returns their boot-up messages."""
         return self.adc.start(now_ns) + self.dac.start(now_ns)
 
     def receive(self, frame: Frame, now_ns: int) -> Frames:
-        """A frame was on the bus at ``now_ns``; deadlines that passed before it are met first."""
+        """Handle a frame that was on the bus at ``now_ns``. Returns the frames that the boards send.
+
+        Deadlines before ``now_ns`` are handled first.
+        """
         adc, dac = self.adc, self.dac
         overdue: Frames = ()
         if now_ns > adc.next_deadline_ns or now_ns > dac.next_deadline_ns:
@@ -56,20 +64,20 @@ class SimulatedRig:
         if frame.is_extended or frame.is_remote or frame.is_error:
             return overdue
         if frame.id == SYNC_ID:
-            if self.adc.state is State.OPERATIONAL:
+            if self.adc.state is SlaveState.OPERATIONAL:
                 self._plant_ns = min(self._plant_ns, now_ns)
             self._advance(now_ns)
         return overdue + adc.receive(frame, now_ns) + dac.receive(frame, now_ns)
 
     def on_deadline(self, now_ns: int) -> Frames:
-        """Heartbeats and time-outs of the boards whose deadline has come."""
+        """Handle the heartbeats and timeouts that are due at ``now_ns``. Returns the boards' frames."""
         frames: Frames = ()
         if now_ns >= self.adc.next_deadline_ns:
             frames += self.adc.on_deadline(now_ns)
         if now_ns >= self.dac.next_deadline_ns:
             frames += self.dac.on_deadline(now_ns)
-        if now_ns - self._plant_ns >= self._longest_advance_ns:
-            # Nobody sends SYNC: keep up, so that the first one has not hours to simulate.
+        if now_ns - self._plant_ns >= self._max_advance_ns:
+            # No SYNC arrives. Advance the plant now; else the next SYNC would have to simulate hours at once.
             self._advance(now_ns)
         return frames
 

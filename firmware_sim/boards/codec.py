@@ -1,7 +1,8 @@
-"""The boards' own reading of the wire (arm.dbc, CiA 301, CiA 401): identifiers, layouts and checksum.
+"""Identifiers, frame layouts and checksum as the boards implement them (arm.dbc, CiA 301, CiA 401).
 
-It is written by hand and does not share code with ``hil.core.wire``: the boards must catch a mistake made
-there, and the gateway a mistake made here. Analogue values are left-adjusted INTEGER16, 10 V = 2^15.
+This module is written by hand and shares no code with ``hil.core.wire``. So the boards detect a mistake in
+the gateway's codec, and the gateway detects a mistake here. Analogue values are left-adjusted INTEGER16: 10 V
+= 2^15.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Final, NamedTuple
 NMT_ID: Final = 0x000
 SYNC_ID: Final = 0x080
 EMERGENCY_ID: Final = 0x080
-"""Plus the node id, like those below."""
+"""Identifier of EMCY of node 0. Add the node id; the same holds for TPDO1, RPDO1 and the heartbeat."""
 TPDO1_ID: Final = 0x180
 RPDO1_ID: Final = 0x200
 HEARTBEAT_ID: Final = 0x700
@@ -30,7 +31,7 @@ _EMERGENCY = Struct("<HBBI")
 
 
 class RejectedPdoError(Exception):
-    """A process data object that must not be used. ``reason`` is one of the class constants."""
+    """A process data object failed its check and must not be used. ``reason`` is a constant of this class."""
 
     LENGTH: Final = 1
     CRC: Final = 2
@@ -41,7 +42,7 @@ class RejectedPdoError(Exception):
 
 
 class Values(NamedTuple):
-    """An analogue PDO: three INTEGER16 counts, and the rolling counter (None where the PDO has none)."""
+    """Content of an analogue PDO: three INTEGER16 counts and the rolling counter (None without a counter)."""
 
     counts: tuple[int, int, int]
     counter: int | None
@@ -61,7 +62,10 @@ _CRC8 = _crc8_table(0x1D)
 
 
 def crc8(data: bytes) -> int:
-    """CRC-8 SAE J1850: polynomial 0x1D, initial value 0xFF, result inverted; 0x4B for ``b"123456789"``."""
+    """Return the CRC-8 SAE J1850 of ``data``.
+
+    Polynomial 0x1D, initial value 0xFF, result inverted. The check value of ``b"123456789"`` is 0x4B.
+    """
     table = _CRC8
     remainder = 0xFF
     for byte in data:
@@ -70,7 +74,7 @@ def crc8(data: bytes) -> int:
 
 
 def encode_values(counts: tuple[int, int, int], counter: int | None) -> bytes:
-    """Bytes of an analogue PDO: 8 with counter and CRC, 6 where ``counter`` is None."""
+    """Encode an analogue PDO: 8 bytes with counter and CRC, or 6 bytes if ``counter`` is None."""
     if counter is None:
         return _VALUES.pack(*counts)
     body = _VALUES_AND_COUNTER.pack(*counts, counter)
@@ -81,7 +85,7 @@ _BYTES = [bytes((value,)) for value in range(256)]
 
 
 def decode_values(data: bytes, protected: bool) -> Values:
-    """Counts and counter of an analogue PDO. Raises RejectedPdoError for a wrong length or CRC."""
+    """Decode an analogue PDO. Raises RejectedPdoError for a wrong length or a wrong CRC."""
     if not protected:
         if len(data) != 6:
             raise RejectedPdoError(RejectedPdoError.LENGTH)
@@ -97,27 +101,31 @@ def decode_values(data: bytes, protected: bool) -> Values:
 def encode_emergency(
     error_code: int, error_register: int, vendor_code: int = 0, vendor_value: int = 0
 ) -> bytes:
-    """The 8 bytes of an EMCY object (CiA 301)."""
+    """Encode an EMCY object: 8 bytes (CiA 301)."""
     return _EMERGENCY.pack(error_code, error_register, vendor_code, vendor_value)
 
 
 class Converter:
-    """A converter of ``bits`` over 0 to 10 V: code 2^bits would be 10 V, codes travel left adjusted."""
+    """An analogue converter with a range of 0 to 10 V and a resolution of ``bits``.
 
-    __slots__ = ("_codes_per_volt", "_largest_code", "_shift")
+    Code 2^bits would be 10 V, so the largest code is one step below it. Frames carry codes left-adjusted, as
+    counts.
+    """
+
+    __slots__ = ("_codes_per_volt", "_max_code", "_shift")
 
     def __init__(self, bits: int) -> None:
         if not 1 <= bits <= FULL_SCALE_BITS:
-            raise ValueError(f"a converter of {bits} bits does not fit: 1 to {FULL_SCALE_BITS}")
+            raise ValueError(f"bits: {bits} is outside the supported resolutions, 1 to {FULL_SCALE_BITS}")
         self._shift = FULL_SCALE_BITS - bits
-        self._largest_code = (1 << bits) - 1
+        self._max_code = (1 << bits) - 1
         self._codes_per_volt = (1 << bits) / 10.0
 
     def counts(self, volts: float) -> int:
-        """Analogue to digital: the nearest code within the range, left adjusted."""
+        """Convert a voltage to counts: the nearest code, limited to the range, left-adjusted."""
         code = int(volts * self._codes_per_volt + 0.5) if volts > 0.0 else 0
-        return min(code, self._largest_code) << self._shift
+        return min(code, self._max_code) << self._shift
 
     def volts(self, counts: int) -> float:
-        """Digital to analogue: bits under the converter's resolution are ignored; ``counts`` >= 0."""
+        """Convert counts (>= 0) to a voltage. Bits below the converter's resolution are ignored."""
         return (counts >> self._shift << self._shift) * VOLTS_PER_COUNT

@@ -1,8 +1,9 @@
-"""A serial CAN adapter that speaks the Lawicel (slcan) protocol, without the serial line and without the bus.
+"""A serial CAN adapter with the Lawicel (slcan) protocol, as a state machine without serial line and bus.
 
-Bytes from the host in, answers and frames for the bus out; frames from the bus in, bytes for the host out.
-After the CAN232 manual, version 3, with automatic polling: every frame goes to the host by itself. Acceptance
-code and mask (M, m) are taken and pass every frame, as their values at power-on do.
+The adapter is given bytes from the host and frames from the bus. It returns bytes for the host and frames for
+the bus. It follows the CAN232 manual, version 3, with automatic polling: the adapter sends every frame to the
+host without a request. It accepts an acceptance code and mask (M, m) but passes every frame, which is what
+the values at power-on do.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ _ERROR: Final = b"\a"
 _VERSION: Final = b"V1013\r"
 _DETAILED_VERSION: Final = b"v0001\r"
 _SERIAL_NUMBER: Final = b"NSIM1\r"
-_LONGEST_LINE: Final = 26
-"""T, 8 digits of identifier, the length, 16 digits of data."""
+_MAX_LINE_BYTES: Final = 26
+"""Length of the longest line: T, 8 digits of identifier, the length, 16 digits of data."""
 _TIMESTAMP_WRAP_MS: Final = 60_000
 _QUEUE_OVERRUN: Final = 0x01
-"""Status flag: the queue towards the host was full."""
+"""Status flag: the queue to the host was full."""
 
 _FRAME: Final = re.compile(
     rb"(?:(?P<kind>[tr])(?P<id>[0-7][0-9A-Fa-f]{2})|(?P<long_kind>[TR])(?P<long_id>[01][0-9A-Fa-f]{7}))"
@@ -32,21 +33,24 @@ _FILTER: Final = re.compile(rb"[Mm][0-9A-Fa-f]{8}")
 
 
 class Answer(NamedTuple):
-    """What bytes from the host led to."""
+    """Result of bytes from the host: bytes to send back, and frames for the bus."""
 
     to_host: bytes
     to_bus: tuple[Frame, ...]
 
 
 def frame_to_text(frame: Frame) -> bytes:
-    """``t1232AABB`` and the like, without the end of line. A remote frame asks for 0 bytes."""
+    """Return the line for a frame, such as ``t1232AABB``, without its end. A remote frame has length 0."""
     kind = ("R" if frame.is_extended else "r") if frame.is_remote else ("T" if frame.is_extended else "t")
     identifier = f"{frame.id:08X}" if frame.is_extended else f"{frame.id:03X}"
     return f"{kind}{identifier}{len(frame.data)}{frame.data.hex().upper()}".encode()
 
 
 def frame_from_text(line: bytes) -> Frame | None:
-    """The frame in a line without its end, None where there is none. A remote frame loses its length."""
+    """Return the frame in a line (without its end), or None if the line is no frame.
+
+    The length that a remote frame requests is dropped.
+    """
     match = _FRAME.fullmatch(line)
     if match is None:
         return None
@@ -59,7 +63,7 @@ def frame_from_text(line: bytes) -> Frame | None:
 
 
 class LawicelAdapter:
-    """The adapter's state: bit rate set or not, closed, open or listening, and the line that is arriving."""
+    """State of the adapter: bit rate set or not; closed, open or listen-only; the incomplete line so far."""
 
     def __init__(self) -> None:
         self.is_open = False
@@ -71,7 +75,7 @@ class LawicelAdapter:
         self._line_is_too_long = False
 
     def from_host(self, data: bytes) -> Answer:
-        """Take bytes as they come, torn anywhere; every complete line is answered."""
+        """Handle bytes from the host. Lines may be split anywhere; each complete line gets an answer."""
         answers: list[bytes] = []
         frames: list[Frame] = []
         *ends, rest = data.split(b"\r")
@@ -82,18 +86,18 @@ class LawicelAdapter:
         return Answer(b"".join(answers), tuple(frames))
 
     def from_bus(self, frame: Frame, now_ns: int) -> bytes:
-        """What the host hears of a frame: nothing while the channel is closed."""
+        """Return the bytes that the host gets for a frame on the bus; none while the channel is closed."""
         if not self.is_open or frame.is_error:
             return b""
         stamp = b"%04X" % (now_ns // 1_000_000 % _TIMESTAMP_WRAP_MS) if self._stamps else b""
         return frame_to_text(frame) + stamp + b"\r"
 
     def overrun(self) -> None:
-        """The host reads too slowly and something for it was lost; the status flags will say so."""
+        """Set the status flag for data that was lost because the host reads too slowly."""
         self._flags |= _QUEUE_OVERRUN
 
     def _extend(self, piece: bytes) -> None:
-        if len(self._line) + len(piece) > _LONGEST_LINE:
+        if len(self._line) + len(piece) > _MAX_LINE_BYTES:
             self._line_is_too_long = True
         else:
             self._line += piece
@@ -116,7 +120,7 @@ class LawicelAdapter:
         return b"Z\r" if frame.is_extended else b"z\r"
 
     def _answer_closed(self, line: bytes) -> bytes:
-        """Commands that set the adapter up."""
+        """Answer a command while the channel is closed."""
         if line in (b"O", b"L") and self._has_bit_rate:
             self.is_open = True
             self._listens_only = line == b"L"
@@ -130,7 +134,7 @@ class LawicelAdapter:
         return _OK if _FILTER.fullmatch(line) else _answer_always(line)
 
     def _answer_open(self, line: bytes) -> bytes:
-        """Commands for a channel in use."""
+        """Answer a command while the channel is open."""
         if line == b"C":
             self.is_open = False
             return _OK
@@ -141,5 +145,8 @@ class LawicelAdapter:
 
 
 def _answer_always(line: bytes) -> bytes:
-    """Questions that either state answers, and the empty line that hosts send to clear the adapter's."""
+    """Answer a command that is valid in both states.
+
+    Hosts send the empty line to discard an incomplete line in the adapter.
+    """
     return {b"": _OK, b"V": _VERSION, b"v": _DETAILED_VERSION, b"N": _SERIAL_NUMBER}.get(line, _ERROR)

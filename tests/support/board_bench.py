@@ -1,10 +1,9 @@
-"""A rig of simulated boards on a bench: stepped by hand, with a plant that reads what a test wrote."""
+"""A bench for the simulated boards: a test moves the clock and sets the potentiometers' voltages."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from importlib.resources import files
 from typing import Any
 
 import msgspec
@@ -12,16 +11,14 @@ import msgspec
 from firmware_sim.boards.codec import encode_values
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.frames import Frame
-from hil.core.rig import DacSettings, Rig, read_rig
+from hil.core.rig import DacSettings, Rig
+from support.shipped_rig import PERIOD_NS, SHIPPED_RIG
 
-SHIPPED: Rig = read_rig((files("hil.shipped") / "rig.toml").read_text(), "rig.toml")
 RIG: Rig = msgspec.structs.replace(
-    SHIPPED,
+    SHIPPED_RIG,
     dac=DacSettings(protected=True, apply="at sync", watchdog_periods=5, heartbeat_timeout_periods=27),
 )
-PERIOD_NS = RIG.loop.period_ns
 HEARTBEAT_NS = 100_000_000
-CENTRED = (5.0, 5.0, 5.0)
 MS = 1_000_000
 
 SYNC = Frame(0x080)
@@ -30,7 +27,7 @@ ADC_BOOT, DAC_BOOT = Frame(0x710, b"\x00"), Frame(0x720, b"\x00")
 
 
 class HandPlant:
-    """Reads what a test wrote, and notes what it was given."""
+    """A plant whose potentiometers have the voltages that a test sets; it records each advance."""
 
     def __init__(self) -> None:
         self.volts: list[float] = [5.0, 5.0, 5.0]
@@ -57,17 +54,18 @@ def gateway_heartbeat() -> Frame:
 
 
 def emergency(frame: Frame) -> tuple[int, int, int]:
-    """Node, error code, error register."""
+    """Return node, error code and error register of an EMCY."""
     code, register = struct.unpack_from("<HB", frame.data)
     return frame.id - 0x080, code, register
 
 
 def with_dac(**changes: Any) -> Rig:
+    """Return the bench's rig with some settings of the valve board changed."""
     return msgspec.structs.replace(RIG, dac=msgspec.structs.replace(RIG.dac, **changes))
 
 
 class Bench:
-    """A rig that is powered at 1 s, and a clock that only a test moves."""
+    """A rig that is powered on at 1 s, and a clock that only the test moves."""
 
     def __init__(self, rig: Rig = RIG, **options: Any) -> None:
         self.plant = HandPlant()
@@ -84,7 +82,7 @@ class Bench:
         return list(self.rig.receive(frame, self.now_ns))
 
     def wait(self, duration_ns: int) -> list[Frame]:
-        """Pass the time as a shell does: every deadline is met when it comes."""
+        """Let time pass as a shell does, which handles every deadline on time. Returns the boards' frames."""
         end_ns, frames = self.now_ns + duration_ns, []
         while self.rig.next_deadline_ns <= end_ns:
             self.now_ns = self.rig.next_deadline_ns
@@ -101,6 +99,6 @@ class Bench:
         return self.give(command(volts, self.counter & 0xFF))
 
     def period(self, *volts: float) -> list[Frame]:
-        """SYNC, then a command, then the rest of the period; what was sent besides heartbeats and TPDO1."""
+        """Run a period: SYNC, a command, the rest. Returns all frames except heartbeats and TPDO1."""
         frames = self.give(SYNC) + self.command(*volts) + self.wait(PERIOD_NS)
         return [frame for frame in frames if frame.id not in (0x710, 0x720, 0x190)]

@@ -1,7 +1,7 @@
-"""The ``canopen`` library as the master of the simulated boards: what any bus that it can use must show.
+"""Tests of the simulated boards with the ``canopen`` library as their master, for any bus.
 
-A test class of a bus inherits ``CanopenMasterContract`` and gives the fixtures ``spec`` (the bus as
-``firmware-sim`` names it) and ``bus`` (the same as python-can opens it).
+The test class of a bus inherits ``CanopenMasterContract`` and defines two fixtures: ``spec`` is the bus as
+``firmware-sim`` names it, ``bus`` is the same bus as python-can opens it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import multiprocessing
 import queue
 from collections.abc import Iterator
-from importlib.resources import files
 from itertools import pairwise
 from typing import Any
 
@@ -27,13 +26,11 @@ from canopen.objectdictionary import (
 
 from firmware_sim import cli
 from firmware_sim.plants.linear_plant import LinearPlant
-from hil.core.rig import read_rig
+from support.shipped_rig import PERIOD_S, SHIPPED_RIG
 
 LIMIT_S = 20
-PERIOD_S = 0.0112
 CENTRE = 16384
 VOLTS = 10 / 32768
-RIG = read_rig((files("hil.shipped") / "rig.toml").read_text(), "rig.toml")
 
 ANALOGUE_INPUT, ANALOGUE_OUTPUT = 0x6401, 0x6411
 COUNTER_AND_CRC = 0x2000
@@ -59,7 +56,7 @@ def record(name: str, index: int, types: list[int], values: list[int]) -> ODReco
 
 
 def dictionary(communication: int, mapping: int, cob_id: int, channels: int) -> ObjectDictionary:
-    """CiA 401: three channels of 16 bits; then the manufacturer's counter and CRC."""
+    """Return an object dictionary (CiA 401): three channels of 16 bits, then a counter and a CRC."""
     mapped = [channels << 16 | n << 8 | 16 for n in (1, 2, 3)] + [
         COUNTER_AND_CRC << 16 | n << 8 | 8 for n in (1, 2)
     ]
@@ -79,7 +76,7 @@ def drain(waiting: queue.SimpleQueue[Any]) -> None:
 
 
 class Board:
-    """A remote node, and queues of what it said of itself."""
+    """A remote node, and queues of the states and emergencies that it reported."""
 
     def __init__(self, network: canopen.Network, node_id: int, od: ObjectDictionary) -> None:
         self.node: canopen.RemoteNode = network.add_node(node_id, od)
@@ -98,7 +95,7 @@ class Board:
 
 
 class Master:
-    """A network with both boards, their PDOs mapped, and a counter for the commands."""
+    """A CANopen master with both boards, their mapped PDOs, and the counter of the commands."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self.network = canopen.Network(bus)
@@ -113,7 +110,7 @@ class Master:
         self.counter = 0
 
     def reset(self) -> None:
-        """Both boards afresh and operational, whatever went before."""
+        """Reset both boards and start them, whatever their state is."""
         for board in (self.adc, self.dac):
             drain(board.states)
             board.node.nmt.state = "RESET"
@@ -125,7 +122,7 @@ class Master:
         drain(self.samples)
 
     def sample(self) -> float:
-        """SYNC; returns the instant at which TPDO1 arrived, in seconds."""
+        """Send SYNC. Returns the time at which TPDO1 arrived, in seconds."""
         self.network.sync.transmit()
         return self.samples.get(timeout=LIMIT_S)[0]
 
@@ -139,7 +136,7 @@ class Master:
         rpdo.transmit()
 
     def potentiometer_v(self, channel: int) -> float:
-        """Volts in the last sample; channels from 0."""
+        """Return the voltage of a channel (counted from 0) in the last sample."""
         return float(self.adc.node.tpdo[1][channel].raw * VOLTS)
 
 
@@ -168,7 +165,7 @@ class CanopenMasterContract:
     @pytest.mark.parametrize(
         ("command", "state"), [("PRE-OPERATIONAL", 127), ("STOPPED", 4), ("OPERATIONAL", 5)]
     )
-    def test_nmt_commands_reach_one_board_and_show_in_its_heartbeat(
+    def test_an_nmt_command_reaches_one_board_and_changes_its_heartbeat(
         self, master: Master, command: str, state: int
     ) -> None:
         master.adc.node.nmt.state = command
@@ -177,7 +174,7 @@ class CanopenMasterContract:
         assert master.dac.node.nmt.wait_for_heartbeat(LIMIT_S) == "OPERATIONAL"
 
     @pytest.mark.parametrize("command", ["RESET", "RESET COMMUNICATION"])
-    def test_a_reset_of_all_boots_every_board_into_pre_operational(
+    def test_a_reset_of_all_nodes_boots_both_boards_into_pre_operational(
         self, master: Master, command: str
     ) -> None:
         master.network.nmt.state = command
@@ -193,17 +190,15 @@ class CanopenMasterContract:
         gaps = sorted(later - sooner for sooner, later in pairwise(stamps))
         assert gaps[2] == pytest.approx(0.1, abs=0.02)
 
-    def test_the_sync_producer_gets_one_sample_each_with_counter_and_crc(self, master: Master) -> None:
+    def test_each_sync_gets_one_sample_with_counter_and_crc(self, master: Master) -> None:
         master.network.sync.start(PERIOD_S)
         samples = [master.samples.get(timeout=LIMIT_S)[1] for _ in range(50)]
         master.network.sync.stop()
         assert [sample[6] for sample in samples] == list(range(50))
         assert [sample[7] for sample in samples] == [crc8_j1850(sample[:7]) for sample in samples]
 
-    def test_commands_move_the_arm_as_the_model_says_and_the_potentiometer_shows_it(
-        self, master: Master
-    ) -> None:
-        """A step of 0.3 V, for 0.4 s, from rest; the other axes stay."""
+    def test_a_command_moves_the_axis_as_the_model_predicts(self, master: Master) -> None:
+        """0.3 V for 0.4 s, from rest. The other axes do not move."""
         offset_v = 0.3
         command = CENTRE + round(offset_v / VOLTS / 8) * 8
         master.sample()
@@ -213,14 +208,15 @@ class CanopenMasterContract:
         while now_s - began_s < 0.4:
             master.command(command, CENTRE, CENTRE)
             now_s = master.sample()
-        plant = LinearPlant(RIG)
+        plant = LinearPlant(SHIPPED_RIG)
         plant.advance(round((now_s - began_s) * 1e9), [5.0 + (command - CENTRE) * VOLTS, 5.0, 5.0])
         moved_v = [master.potentiometer_v(channel) - before_v[channel] for channel in range(3)]
-        # A machine that stalls lets the watchdog centre the valves now and then: less, never more.
+        # On a machine that stalls, the watchdog may centre the valves at times: the axis moves less, never
+        # more.
         assert 0.2 < moved_v[0] < plant.potentiometer_v()[0] - 5.0 + 0.1
         assert moved_v[1:] == pytest.approx([0.0, 0.0], abs=0.01)
 
-    def test_commands_that_stop_are_told_by_emcy_and_good_ones_end_it(self, master: Master) -> None:
+    def test_missing_commands_are_reported_by_emcy_until_a_good_one(self, master: Master) -> None:
         master.command(CENTRE, CENTRE, CENTRE)
         assert master.dac.emergency() == (0x8250, 0x11)
         assert [error.code for error in master.dac.node.emcy.active] == [0x8250]
@@ -228,13 +224,13 @@ class CanopenMasterContract:
         assert master.dac.emergency() == (0, 0)
         assert master.dac.node.emcy.active == []
 
-    def test_a_command_with_a_bad_crc_is_told_by_emcy(self, master: Master) -> None:
+    def test_a_command_with_a_bad_crc_is_reported_by_emcy(self, master: Master) -> None:
         master.command(CENTRE, CENTRE, CENTRE, crc_error=0x01)
         assert master.dac.emergency() == (0x8200, 0x11)
         master.command(CENTRE, CENTRE, CENTRE)
         assert master.dac.emergency() == (0, 0)
 
-    def test_a_gateway_heartbeat_that_stops_is_told_by_emcy(self, master: Master) -> None:
+    def test_a_missing_gateway_heartbeat_is_reported_by_emcy(self, master: Master) -> None:
         master.network.send_message(0x701, b"\x05")
         assert master.dac.emergency() == (0x8130, 0x11)
         master.network.send_message(0x701, b"\x05")

@@ -1,4 +1,4 @@
-"""The pseudo-terminal: real bytes through pyserial and python-can's own slcan interface."""
+"""The serial device with real bytes, through pyserial and the slcan interface of python-can."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def device() -> Iterator[SerialDevice]:
 @pytest.fixture
 def bus(device: SerialDevice) -> Iterator[can.BusABC]:
     with slcanBus(device.path, bitrate=500_000, sleep_after_open=0) as bus:
-        assert device.receive(0) is None  # takes the commands that opened it
+        assert device.receive(0) is None  # handles the commands with which python-can opened the channel
         bus.flush()
         yield bus
 
@@ -59,7 +59,7 @@ def test_frames_from_the_bus_reach_the_host(device: SerialDevice, bus: can.BusAB
     assert (heard.arbitration_id, bytes(heard.data), heard.is_extended_id) == frame[:3]
 
 
-def test_bursts_arrive_whole_and_in_order(device: SerialDevice, bus: can.BusABC) -> None:
+def test_bursts_arrive_complete_and_in_order(device: SerialDevice, bus: can.BusABC) -> None:
     for _ in range(5):
         burst = [Frame(number, bytes(4)) for number in range(100)]
         for frame in burst:
@@ -68,14 +68,14 @@ def test_bursts_arrive_whole_and_in_order(device: SerialDevice, bus: can.BusABC)
         assert [r.frame for r in received if r] == burst
 
 
-def test_the_version_is_answered(device: SerialDevice) -> None:
+def test_the_adapter_answers_version_and_serial_number(device: SerialDevice) -> None:
     with serial.Serial(device.path, timeout=5) as host:
         host.write(b"\r\rV\rN\r")
         assert device.receive(0) is None
         assert host.read(14) == b"\r\rV1013\rNSIM1\r"
 
 
-def test_hosts_may_come_and_go(device: SerialDevice) -> None:
+def test_hosts_can_open_the_device_one_after_another(device: SerialDevice) -> None:
     for number in range(3):
         with serial.Serial(device.path, timeout=5) as host:
             host.write(b"C\rS6\rO\rt%03X0\r" % number)
@@ -84,7 +84,7 @@ def test_hosts_may_come_and_go(device: SerialDevice) -> None:
             assert received.frame == Frame(number)
 
 
-def test_a_host_that_never_reads_costs_frames_and_is_told(device: SerialDevice) -> None:
+def test_a_host_that_never_reads_loses_frames_and_gets_the_overrun_flag(device: SerialDevice) -> None:
     with serial.Serial(device.path, timeout=5) as host:
         host.write(b"S6\rO\r")
         assert device.receive(0) is None
@@ -101,11 +101,11 @@ def test_a_host_that_never_reads_costs_frames_and_is_told(device: SerialDevice) 
     assert 100 < frames < sent
 
 
-def test_receive_gives_up_when_the_time_is_over(device: SerialDevice) -> None:
+def test_receive_returns_none_after_its_timeout(device: SerialDevice) -> None:
     assert device.receive(0.01) is None
 
 
-def test_closing_hangs_the_hosts_line_up() -> None:
+def test_close_hangs_up_the_line_of_the_host() -> None:
     device = SerialDevice()
     host = os.open(device.path, os.O_RDWR | os.O_NOCTTY)
     device.close()

@@ -1,4 +1,4 @@
-"""The boards' codec against published checksums, and against cantools on the shipped DBC."""
+"""The boards' codec against published checksums and against cantools with the shipped DBC."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ bytes8 = st.integers(0, 0xFF)
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
-        ("313233343536373839", 0x4B),  # the catalogue's check value
+        ("313233343536373839", 0x4B),  # check value of the CRC catalogue
         # AUTOSAR, Specification of CRC Routines, 8-bit SAE J1850
         ("00000000", 0x59),
         ("F20183", 0x37),
@@ -62,7 +62,7 @@ def test_unprotected_values_are_the_first_six_bytes(counts: tuple[int, int, int]
 
 
 @given(three_counts, bytes8, st.integers(0, 63))
-def test_every_flipped_bit_is_caught(counts: tuple[int, int, int], counter: int, bit: int) -> None:
+def test_the_crc_detects_every_single_bit_error(counts: tuple[int, int, int], counter: int, bit: int) -> None:
     torn = bytearray(codec.encode_values(counts, counter))
     torn[bit // 8] ^= 1 << bit % 8
     with pytest.raises(codec.RejectedPdoError) as caught:
@@ -71,7 +71,7 @@ def test_every_flipped_bit_is_caught(counts: tuple[int, int, int], counter: int,
 
 
 @pytest.mark.parametrize(("protected", "length"), [(True, 8), (False, 6)])
-def test_any_other_length_is_caught(protected: bool, length: int) -> None:
+def test_every_other_length_is_rejected(protected: bool, length: int) -> None:
     for wrong in set(range(9)) - {length}:
         with pytest.raises(codec.RejectedPdoError) as caught:
             codec.decode_values(bytes(wrong), protected)
@@ -107,7 +107,7 @@ def test_identifiers_are_those_of_the_dbc() -> None:
 
 
 @given(st.integers(1, 15), st.floats(-20.0, 30.0))
-def test_conversion_is_within_half_a_code_and_clips(bits: int, volts: float) -> None:
+def test_conversion_is_exact_to_half_a_code_and_limited_to_the_range(bits: int, volts: float) -> None:
     step_v = 10.0 / 2**bits
     converter = codec.Converter(bits)
     counts = converter.counts(volts)
@@ -116,7 +116,7 @@ def test_conversion_is_within_half_a_code_and_clips(bits: int, volts: float) -> 
 
 
 @given(st.integers(1, 15), counts16)
-def test_digital_to_analogue_ignores_the_bits_it_has_not(bits: int, counts: int) -> None:
+def test_digital_to_analogue_conversion_ignores_bits_below_the_resolution(bits: int, counts: int) -> None:
     volts = codec.Converter(bits).volts(counts)
     assert 0.0 <= counts * 10 / 32768 - volts < 10.0 / 2**bits
     assert codec.Converter(bits).counts(volts) == counts >> (15 - bits) << (15 - bits)
@@ -130,6 +130,6 @@ def test_the_valve_centre_is_exact() -> None:
 
 
 @pytest.mark.parametrize("bits", [0, 16])
-def test_impossible_converters_are_refused(bits: int) -> None:
-    with pytest.raises(ValueError, match="1 to 15"):
+def test_unsupported_resolutions_are_rejected(bits: int) -> None:
+    with pytest.raises(ValueError, match=r"bits: \d+ is outside the supported resolutions, 1 to 15"):
         codec.Converter(bits)

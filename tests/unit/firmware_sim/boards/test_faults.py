@@ -1,12 +1,10 @@
-"""Board fault injection: what a broken board shows on the bus, and that it mends."""
+"""Faults of the boards: what a broken board shows on the bus, and that it works again after repair."""
 
 from __future__ import annotations
 
 import pytest
 from support.board_bench import (
-    CENTRED,
     HEARTBEAT_NS,
-    PERIOD_NS,
     START,
     STOP,
     SYNC,
@@ -15,6 +13,7 @@ from support.board_bench import (
     nmt,
     with_dac,
 )
+from support.shipped_rig import CENTRED, PERIOD_NS
 
 from firmware_sim.boards.codec import RejectedPdoError, decode_values
 from firmware_sim.boards.faults import AdcFaults, DacFaults
@@ -32,7 +31,7 @@ def test_lost_samples_leave_a_gap_in_the_counter() -> None:
     assert [frame.data[6] for frame in samples(bench, 5)] == [4, 5]
 
 
-def test_a_frozen_channel_reads_its_voltage_until_it_is_mended() -> None:
+def test_a_frozen_channel_reads_its_voltage_until_the_board_is_repaired() -> None:
     bench = Bench().started()
     bench.plant.volts = [1.25, 2.5, 5.0]
     bench.rig.adc.faults = AdcFaults(frozen_v={2: 7.5})
@@ -69,7 +68,7 @@ def test_a_silent_heartbeat_on_one_board() -> None:
     assert bench.wait(HEARTBEAT_NS) == [Frame(0x710, b"\x05"), Frame(0x720, b"\x05")]
 
 
-def test_a_hung_adc_board_is_mute_and_resumes_where_it_was() -> None:
+def test_a_hung_adc_board_is_silent_and_resumes_where_it_was() -> None:
     bench = Bench().started()
     bench.rig.adc.faults = AdcFaults(hung=True)
     assert samples(bench, 3) == []
@@ -92,19 +91,19 @@ def test_a_hung_dac_board_holds_its_valves_and_centres_once_it_resumes() -> None
     assert bench.valve_v == CENTRED
 
 
-def test_an_emergency_goes_out_once_at_the_next_sync_or_heartbeat() -> None:
+def test_an_emergency_is_sent_once_at_the_next_sync_or_heartbeat() -> None:
     bench = Bench().started()
     bench.rig.adc.faults = AdcFaults(emergency_code=0x5000)
     bench.rig.dac.faults = DacFaults(emergency_code=0x3100)
-    told = [emergency(frame) for frame in bench.give(SYNC) if frame.id < 0x100]
-    assert told == [(0x10, 0x5000, 0x11), (0x20, 0x3100, 0x11)]
+    reported = [emergency(frame) for frame in bench.give(SYNC) if frame.id < 0x100]
+    assert reported == [(0x10, 0x5000, 0x11), (0x20, 0x3100, 0x11)]
     assert [frame.id for frame in bench.give(SYNC)] == [0x190]
     bench.rig.dac.faults.emergency_code = 0x3200
-    told = [emergency(frame) for frame in bench.wait(HEARTBEAT_NS) if frame.id < 0x100]
-    assert told == [(0x20, 0x3200, 0x11)]
+    reported = [emergency(frame) for frame in bench.wait(HEARTBEAT_NS) if frame.id < 0x100]
+    assert reported == [(0x20, 0x3200, 0x11)]
 
 
-def test_a_frozen_valve_channel_gives_its_voltage_whatever_is_commanded() -> None:
+def test_a_frozen_valve_channel_ignores_commands() -> None:
     bench = Bench().started()
     bench.period(6.25, 5.0, 5.0)
     bench.rig.dac.faults = DacFaults(frozen_v={1: 0.0})

@@ -1,4 +1,4 @@
-"""The Lawicel adapter as a state machine: answers after the CAN232 manual, whatever the tearing."""
+"""The Lawicel adapter as a state machine: its answers follow the CAN232 manual, however bytes are split."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def opened(commands: bytes = b"S6\rO\r") -> LawicelAdapter:
 
 
 @given(any_frame)
-def test_text_and_frame_are_the_same_thing(frame: Frame) -> None:
+def test_a_frame_survives_conversion_to_text_and_back(frame: Frame) -> None:
     text = frame_to_text(frame)
     assert frame_from_text(text) == frame
     assert frame_from_text(text[:1] + text[1:].lower()) == frame
@@ -43,7 +43,7 @@ def test_text_and_frame_are_the_same_thing(frame: Frame) -> None:
         (b"R000001008", Frame(0x100, is_extended=True, is_remote=True)),
     ],
 )
-def test_the_manuals_examples(text: bytes, frame: Frame) -> None:
+def test_examples_of_the_manual(text: bytes, frame: Frame) -> None:
     assert frame_from_text(text) == frame
     answer = opened().from_host(text + b"\r")
     assert answer.to_bus == (frame,)
@@ -69,7 +69,7 @@ def test_the_manuals_examples(text: bytes, frame: Frame) -> None:
         b"x1000",
     ],
 )
-def test_what_is_no_frame_is_refused(text: bytes) -> None:
+def test_an_invalid_frame_is_rejected(text: bytes) -> None:
     assert opened().from_host(text + b"\r") == (b"\a", ())
 
 
@@ -115,7 +115,7 @@ def test_commands_by_state(before: bytes, command: bytes, answer: bytes) -> None
     assert opened(before).from_host(command + b"\r") == (answer, ())
 
 
-def test_frames_from_the_bus_reach_an_open_host_only() -> None:
+def test_frames_from_the_bus_reach_the_host_only_while_the_channel_is_open() -> None:
     frame = Frame(0x190, b"\x40\x00")
     assert LawicelAdapter().from_bus(frame, 0) == b""
     assert opened().from_bus(frame, 0) == b"t19024000\r"
@@ -147,7 +147,7 @@ pieces = st.lists(
 
 
 @given(pieces, st.lists(st.integers(0, 400), max_size=20))
-def test_any_tearing_of_the_bytes_gives_the_same(data: bytes, cuts: list[int]) -> None:
+def test_the_answers_do_not_depend_on_where_the_bytes_are_split(data: bytes, cuts: list[int]) -> None:
     whole, torn = opened(), opened()
     answer = whole.from_host(data)
     edges = [0, *sorted(cuts), len(data)]
@@ -158,13 +158,13 @@ def test_any_tearing_of_the_bytes_gives_the_same(data: bytes, cuts: list[int]) -
 
 
 @given(st.binary(max_size=200), any_frame)
-def test_after_any_garbage_one_line_end_makes_it_whole(garbage: bytes, frame: Frame) -> None:
+def test_a_line_end_resynchronises_the_adapter_after_garbage(garbage: bytes, frame: Frame) -> None:
     adapter = LawicelAdapter()
     adapter.from_host(garbage + b"\rC\rS6\rO\r")
     assert adapter.from_host(frame_to_text(frame) + b"\r").to_bus == (frame,)
 
 
-def test_a_line_that_never_ends_takes_no_memory_and_is_refused_as_a_whole() -> None:
+def test_a_line_without_end_uses_no_memory_and_is_rejected() -> None:
     adapter = opened()
     for _ in range(1000):
         assert adapter.from_host(b"t1000" * 100) == (b"", ())

@@ -1,4 +1,4 @@
-"""The ``canopen`` library drives the boards over multicast; ``tests/vcan`` has the same on SocketCAN."""
+"""The ``canopen`` library as the master of the boards, over multicast (``tests/vcan``: over SocketCAN)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What no sequence of frames and times can do to the boards."""
+"""Properties of the boards that hold for every sequence of frames and times."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Literal
 
 from hypothesis import given
 from hypothesis import strategies as st
-from support.board_bench import CENTRED, PERIOD_NS, START, SYNC, Bench, nmt, with_dac
+from support.board_bench import START, SYNC, Bench, nmt, with_dac
+from support.shipped_rig import CENTRED, PERIOD_NS
 
 from firmware_sim.boards.codec import encode_values
 from hil.core.frames import Frame
@@ -31,7 +32,7 @@ frames = st.one_of(st.just(SYNC), good_commands, commands_of_the_nmt, plain, any
 
 
 @given(modes, st.lists(st.tuples(waits_ns, frames), max_size=40))
-def test_nothing_raises_and_valves_are_centred_unless_operational(
+def test_no_frame_raises_and_valves_are_centred_unless_operational(
     mode: Apply, steps: list[tuple[int, Frame]]
 ) -> None:
     bench = Bench(with_dac(apply=mode))

@@ -1,0 +1,202 @@
+"""The valve board (node 0x20): it takes commands in RPDO1 and holds the valves' voltages.
+
+The board is a state machine. It is given frames and the time; it returns frames and reports each change of a
+valve voltage to a callback. It checks every command, and it ignores a command that fails a check.
+
+The board centres all valves
+
+1. when it leaves the NMT state operational,
+2. when no good command has arrived for the watchdog time,
+3. when the gateway's heartbeat, once it has been seen, is absent for its timeout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Final, NamedTuple, TypeAlias
+
+from firmware_sim.boards.canopen_slave import NEVER, CanopenSlave, ErrorCode, Frames, SlaveState
+from firmware_sim.boards.codec import (
+    DAC_NODE,
+    GATEWAY_NODE,
+    HEARTBEAT_ID,
+    RPDO1_ID,
+    Converter,
+    RejectedPdoError,
+    decode_values,
+)
+from firmware_sim.boards.faults import DacFaults
+from hil.core.frames import Frame
+from hil.core.rig import Rig
+
+Volts: TypeAlias = tuple[float, float, float]
+"""Voltages of the three channels."""
+
+MAX_COUNTER_STEP: Final = 127
+"""Largest forward difference of the command counter that is accepted. Beyond it the counter went back."""
+
+
+class VendorCode(IntEnum):
+    """Vendor-specific code of EMCY 0x8200: why the board rejected a command."""
+
+    NONE = 0
+    CRC = 1
+    COUNTER = 2
+    RANGE = 3
+
+
+class Accepted(NamedTuple):
+    """A command that passed all checks."""
+
+    counts: tuple[int, int, int]
+    counter: int | None
+    """Rolling counter of the frame; None for a frame without one."""
+
+
+class Rejected(NamedTuple):
+    """A command that failed a check, and the fields of the EMCY that reports it."""
+
+    error_code: ErrorCode
+    vendor_code: VendorCode = VendorCode.NONE
+    vendor_value: int = 0
+
+
+class DacBoard(CanopenSlave[DacFaults]):
+    """The valve board.
+
+    ``drive(volts, now_ns)`` is called whenever the voltages on the pins change.
+    ``resolution_bits`` is the converter's resolution, ``heartbeat_ns`` the time between two heartbeats.
+    """
+
+    __slots__ = (
+        "_applies_at_once",
+        "_centre_v",
+        "_command_due_ns",
+        "_commanded_v",
+        "_converter",
+        "_counter",
+        "_drive",
+        "_gateway_due_ns",
+        "_gateway_timeout_ns",
+        "_pending_v",
+        "_protected",
+        "_watchdog_ns",
+        "valve_v",
+    )
+
+    def __init__(
+        self, rig: Rig, drive: Callable[[Volts, int], None], *, resolution_bits: int, heartbeat_ns: int
+    ) -> None:
+        super().__init__(DAC_NODE, heartbeat_ns)
+        period_ns = rig.loop.period_ns
+        self._protected = rig.dac.protected
+        self._applies_at_once = rig.dac.apply == "at once"
+        self._watchdog_ns = rig.dac.watchdog_periods * period_ns
+        self._gateway_timeout_ns = rig.dac.heartbeat_timeout_periods * period_ns
+        self._drive = drive
+        self._converter = Converter(resolution_bits)
+        centre_v = [5.0, 5.0, 5.0]
+        for axis in rig.axes.values():
+            centre_v[axis.valve.channel - 1] = axis.valve.centre_v
+        self._centre_v: Volts = (centre_v[0], centre_v[1], centre_v[2])
+        self._commanded_v = self._centre_v
+        self.valve_v = self._centre_v
+        """Voltages on the pins now."""
+        self._pending_v: Volts | None = None
+        self._counter: int | None = None
+        self._command_due_ns = NEVER
+        self._gateway_due_ns = NEVER
+
+    def _on_reset(self, now_ns: int) -> None:
+        self._gateway_due_ns = NEVER
+        self._centre(now_ns)
+
+    def _on_state(self, now_ns: int) -> None:
+        if self.state is not SlaveState.OPERATIONAL:
+            self._centre(now_ns)
+
+    def _on_frame(self, frame: Frame, now_ns: int) -> Frames:
+        if frame.id == RPDO1_ID + DAC_NODE:
+            return self._on_command(frame.data, now_ns) if self.state is SlaveState.OPERATIONAL else ()
+        if frame.id == HEARTBEAT_ID + GATEWAY_NODE and len(frame.data) == 1:
+            self._gateway_due_ns = now_ns + self._gateway_timeout_ns
+            self._schedule()
+            return self._recover(ErrorCode.HEARTBEAT) if self._errors else ()
+        return ()
+
+    def _on_command(self, data: bytes, now_ns: int) -> Frames:
+        verdict = self._check(data)
+        if isinstance(verdict, Rejected):
+            return self._report(verdict.error_code, verdict.vendor_code, verdict.vendor_value)
+        self._counter = verdict.counter
+        frames: Frames = ()
+        if self._errors:
+            frames = self._recover(ErrorCode.PROTOCOL, ErrorCode.PDO_LENGTH, ErrorCode.RPDO_TIMEOUT)
+        if self._pending_v is None:
+            # If SYNC has stopped, the pending command is never applied. Commands that only replace it must
+            # not restart the watchdog.
+            self._command_due_ns = now_ns + self._watchdog_ns
+            self._schedule()
+        if ErrorCode.HEARTBEAT not in self._errors:
+            self._accept(verdict.counts, now_ns)
+        return frames
+
+    def _check(self, data: bytes) -> Accepted | Rejected:
+        try:
+            counts, counter = decode_values(data, self._protected)
+        except RejectedPdoError as error:
+            if error.reason == RejectedPdoError.LENGTH:
+                return Rejected(ErrorCode.PDO_LENGTH, vendor_value=len(data))
+            return Rejected(ErrorCode.PROTOCOL, VendorCode.CRC, data[7])
+        if counter is not None and self._counter is not None:
+            step = (counter - self._counter) & 0xFF
+            if step == 0 or step > MAX_COUNTER_STEP:
+                return Rejected(ErrorCode.PROTOCOL, VendorCode.COUNTER, counter)
+        if min(counts) < 0:
+            return Rejected(ErrorCode.PROTOCOL, VendorCode.RANGE)
+        return Accepted(counts, counter)
+
+    def _accept(self, counts: tuple[int, int, int], now_ns: int) -> None:
+        convert = self._converter.volts
+        first, second, third = counts
+        volts = (convert(first), convert(second), convert(third))
+        if self._applies_at_once:
+            self._set(volts, now_ns)
+        else:
+            self._pending_v = volts
+
+    def _on_sync(self, now_ns: int) -> Frames:
+        pending_v, self._pending_v = self._pending_v, None
+        self._set(self._commanded_v if pending_v is None else pending_v, now_ns)
+        return ()
+
+    def _on_time(self, now_ns: int) -> Frames:
+        frames: Frames = ()
+        if now_ns >= self._command_due_ns:
+            self._centre(now_ns)
+            frames += self._report(ErrorCode.RPDO_TIMEOUT)
+        if now_ns >= self._gateway_due_ns:
+            self._gateway_due_ns = NEVER
+            self._centre(now_ns)
+            frames += self._report(ErrorCode.HEARTBEAT, vendor_value=GATEWAY_NODE)
+        return frames
+
+    def _schedule(self) -> None:
+        self.next_deadline_ns = min(self._heartbeat_due_ns, self._command_due_ns, self._gateway_due_ns)
+
+    def _centre(self, now_ns: int) -> None:
+        """Centre the valves, stop the watchdog, and accept any counter in the next command."""
+        self._pending_v = None
+        self._counter = None
+        self._command_due_ns = NEVER
+        self._set(self._centre_v, now_ns)
+
+    def _set(self, volts: Volts, now_ns: int) -> None:
+        self._commanded_v = volts
+        if self.faults is not None and (frozen_v := self.faults.frozen_v):
+            first, second, third = volts
+            volts = (frozen_v.get(1, first), frozen_v.get(2, second), frozen_v.get(3, third))
+        if volts != self.valve_v:
+            self.valve_v = volts
+            self._drive(volts, now_ns)
