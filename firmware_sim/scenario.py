@@ -1,7 +1,18 @@
-"""A scenario: an experiment on the simulated arm, as one TOML. What axes are asked, what happens to the arm.
+"""The scenario file: an experiment on the simulated arm as one TOML document.
 
-``hil run --scenario`` takes setpoints, controllers and duration from it, the arm its events. Shipped are the
-paper's experiments, ``fig13``, ``fig14`` and ``fig15``.
+A scenario has setpoints, controllers, a duration, and the events that happen to the arm. The package ships
+the paper's experiments ``fig13``, ``fig14`` and ``fig15``.
+
+    title = "step under load"
+    duration_s = 8.0
+
+    [setpoints]
+    vertical = "step:0.1@2"
+
+    [[events]]
+    at_s = 4.0
+    change = "payload"
+    mass_kg = 3.0
 """
 
 from __future__ import annotations
@@ -12,7 +23,7 @@ from typing import Annotated
 
 import msgspec
 
-from firmware_sim.arm.conditions import AnyChange
+from firmware_sim.arm.events import AnyEvent
 from hil.core.documents import Document, from_toml
 from hil.core.errors import DocumentError
 
@@ -20,37 +31,43 @@ SHIPPED = Path(__file__).parent / "scenarios"
 
 
 class Scenario(Document, frozen=True):
-    """Event times count from the boards' first sample, two periods before control begins."""
+    """Content of a scenario file.
+
+    The times of events count from the boards' first sample, which is two periods before control begins.
+    """
 
     title: str
     duration_s: Annotated[float, msgspec.Meta(gt=0.0, le=86400.0)]
     setpoints: dict[str, str] = msgspec.field(default_factory=dict)
-    """By axis, as ``hil run --setpoint`` takes them; the rig file's for the others."""
+    """Setpoint of an axis, as ``hil run --setpoint`` takes it. Other axes keep that of the rig file."""
     controllers: dict[str, str] = msgspec.field(default_factory=dict)
-    """By axis, as ``hil run --controller`` takes them."""
+    """Controller of an axis, as ``hil run --controller`` takes it. Other axes keep that of the rig file."""
     figure_axes: list[str] = msgspec.field(default_factory=list)
-    """The axes that the figure shows; all of them when empty."""
-    events: list[AnyChange] = msgspec.field(default_factory=list)
+    """Axes that the figure of the run shows; all axes if empty."""
+    events: list[AnyEvent] = msgspec.field(default_factory=list)
+    """Events that happen to the arm, in any order."""
 
 
 def check_axes(scenario: Scenario, axes: Iterable[str], source: str) -> None:
-    """Refuse a scenario for axes that the rig, which has ``axes``, has not. Raises DocumentError."""
+    """Check that a rig with ``axes`` has every axis that the scenario names. Raises DocumentError."""
     known = list(axes)
     for key in ("setpoints", "controllers", "figure_axes"):
         for name in getattr(scenario, key):
             if name not in known:
-                raise DocumentError(f"{source}: {key}: {name!r}: the rig has only {', '.join(known)}")
+                raise DocumentError(f"{source}: {key}: no axis {name!r}; the rig has {', '.join(known)}")
 
 
 def find_scenario(name: str) -> Path:
-    """A shipped scenario by its name, or a file. Raises DocumentError."""
+    """Return the file of a scenario: a shipped one by its name, or a path. Raises DocumentError."""
     shipped = sorted(path.stem for path in SHIPPED.glob("*.toml"))
     path = SHIPPED / f"{name}.toml" if name in shipped else Path(name)
     if not path.is_file():
-        raise DocumentError(f"scenario {name!r}: no such file, and none of the shipped {', '.join(shipped)}")
+        raise DocumentError(
+            f"--scenario {name}: no such file, and not one of the shipped {', '.join(shipped)}"
+        )
     return path
 
 
 def read_scenario(text: str, source: str) -> Scenario:
-    """Read the TOML text of a scenario; ``source`` is its name for errors. Raises DocumentError."""
+    """Read the TOML text of a scenario. ``source`` is the file's name for errors. Raises DocumentError."""
     return from_toml(text, Scenario, source)

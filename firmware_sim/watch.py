@@ -1,4 +1,4 @@
-"""``firmware-sim --watch``: a live picture of the arm in the terminal, drawn by a process of its own."""
+"""Live picture of the arm in the terminal (``firmware-sim --watch``), drawn by a separate process."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.parameters import AXES
 from hil.views.onlooker import Onlooker, messages
 
-BETWEEN_LOOKS_NS = 100_000_000
-LEAST_CELLS, MOST_CELLS = 72, 160
-NUMBERS_CELLS = 57
-"""Of a line with numbers, what the bars of pressure leave."""
+UPDATE_INTERVAL_NS = 100_000_000
+MIN_COLUMNS, MAX_COLUMNS = 72, 160
+"""Limits of the picture's width."""
+NUMBER_COLUMNS = 57
+"""Columns that the numbers of an axis take; the two bars of pressure share the rest."""
 
 
 class ArmWatch:
-    """Tells the drawing process how the arm stands, ten times a second."""
+    """Sends the arm's state to the drawing process ten times a second."""
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
@@ -31,18 +32,18 @@ class ArmWatch:
             (axis.potentiometer.y_at_0v, axis.potentiometer.y_at_10v) for axis in arm.parameters.ordered
         ]
 
-    def look(self, now_ns: int) -> None:
-        """Pass on the arm's state when it is time."""
+    def update(self, now_ns: int) -> None:
+        """Send the arm's state if the update interval has passed."""
         if now_ns < self._next_ns:
             return
-        self._next_ns = now_ns + BETWEEN_LOOKS_NS
+        self._next_ns = now_ns + UPDATE_INTERVAL_NS
         view = self._arm.view()
         self._onlooker.tell(
             {
                 "time_s": view.time_ns * 1e-9,
                 "supply_pa": view.supply_pa,
                 "payload_kg": view.payload_kg,
-                "ailments": self._arm.ailments(),
+                "abnormal": self._arm.abnormal_conditions(),
                 "axes": [
                     {
                         "position": axis.position,
@@ -58,7 +59,7 @@ class ArmWatch:
 
 
 def main(file_descriptor: int) -> None:
-    """Draw what is told until the teller ends."""
+    """Draw each state that arrives on the socket ``file_descriptor``, until the sender closes it."""
     console = Console(stderr=True)
     with Live(console=console, auto_refresh=False) as live:
         for view in messages(file_descriptor):
@@ -66,12 +67,14 @@ def main(file_descriptor: int) -> None:
 
 
 def picture(view: dict[str, Any], width: int) -> Text:
-    """The arm on lines of ``width`` cells at most, 80 are enough: a heading, and two lines for each axis.
+    """Draw a state of the arm in at most ``width`` columns (at least 72): a heading and two lines for each
+    axis.
 
-    The first has its numbers and its chambers' pressures, the second its place on the potentiometer's track.
+    The first line of an axis has its numbers and the pressures of its chambers. The second line shows the
+    position within the potentiometer's range.
     """
-    width = min(max(width, LEAST_CELLS), MOST_CELLS) - 1  # the last column is the cursor's
-    supply_pa, cells = view["supply_pa"], (width - NUMBERS_CELLS) // 2
+    width = min(max(width, MIN_COLUMNS), MAX_COLUMNS) - 1  # the last column is for the cursor
+    supply_pa, cells = view["supply_pa"], (width - NUMBER_COLUMNS) // 2
     text = Text(no_wrap=True)
     text.append(
         f"{view['time_s']:.1f} s   supply {supply_pa / 1e5:.2f} bar   payload {view['payload_kg']:g} kg",
@@ -95,8 +98,8 @@ def picture(view: dict[str, Any], width: int) -> Text:
         text.append(f"\n{'':11}{ends[0]}", "dim")
         text.append_text(_track((axis["position"] - low) / (high - low), width - 11 - len("".join(ends))))
         text.append(ends[1], "dim")
-    for ailment in view["ailments"]:
-        text.append(f"\n{ailment}", "yellow")
+    for condition in view["abnormal"]:
+        text.append(f"\n{condition}", "yellow")
     return text
 
 

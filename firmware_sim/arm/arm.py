@@ -1,11 +1,11 @@
-"""The simulated arm: valve voltages and time in, potentiometer voltages out.
+"""The simulated arm as a plant: valve voltages in, potentiometer voltages out.
 
-Lives here: what happens at an instant (commands reach the valves, conditions change, readings are taken).
-What happens in between is in ``dynamics.c``. No clock, no I/O; the same seed, calls and changes give the same
-readings to the bit.
+This module does what happens at an instant: a command reaches a valve, an event happens, a potentiometer is
+read. ``dynamics.c`` integrates the equations of motion between two instants. The arm reads no clock and does
+no I/O. The same seed, calls and events give the same readings to the bit.
 
-Sound takes its time through the tube from valve to cylinder. The command is delayed for it, not the flow, so
-that the flow stays a function of the present pressures.
+Sound needs time through the tube from valve to cylinder. The simulation delays the command by that time, not
+the flow, so that the flow remains a function of the present pressures.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from random import Random
 from typing import Final, NamedTuple
 
 from firmware_sim.arm import native
-from firmware_sim.arm.conditions import (
-    AnyChange,
+from firmware_sim.arm.events import (
+    AnyEvent,
     BrokenWire,
-    FrictionChange,
+    FrictionFactor,
     Leak,
     Payload,
     StuckSpool,
@@ -42,39 +42,52 @@ from firmware_sim.arm.wiring import STRAIGHT, Wires
 from hil.core.errors import SimulationError
 
 REST_V: Final = (5.0, 5.0, 5.0)
+"""Valve voltages while the arm settles before its time 0, and of an axis that is not wired."""
 REST_NS: Final = 10_000_000_000
-"""Before its time 0 the arm has stood for so long with ``REST_V`` on its valves."""
+"""Time that the arm is given to settle before its time 0."""
 
 
 class AxisView(NamedTuple):
-    """One axis as it is, before any sensor. Position and velocity in the axis' unit."""
+    """True state of one axis, before any sensor. Position and velocity are in the axis' unit."""
 
     position: float
     velocity: float
     spool: float
-    """-1 to 1, a fraction of full travel."""
+    """Position of the valve's spool as a fraction of full travel, -1 to 1."""
     pressure_pa: tuple[float, float]
-    """Absolute, in chambers 1 and 2."""
+    """Absolute pressures in chambers 1 and 2."""
 
 
 class ArmView(NamedTuple):
-    """The arm at an instant of its own time."""
+    """True state of the arm at ``time_ns`` of its own time."""
 
     time_ns: int
     axes: tuple[AxisView, ...]
-    """Vertical, horizontal, rotation."""
+    """The axes in the order of ``AXES``: vertical, horizontal, rotation."""
     supply_pa: float
     payload_kg: float
     supplied_kg: float
-    """Air that came through the regulator since the arm was built."""
+    """Mass of air that the regulator has supplied since the arm was built."""
+
+
+class _ValveLine(NamedTuple):
+    """One valve between the board's pin and its spool."""
+
+    input: ValveInput
+    delay_ns: int
+    """Time of sound through the tube."""
+    conditions: native.AxisConditions
+    channel: int
 
 
 class Arm:
-    """A ``firmware_sim.plants.plant.Plant``, its axes on the channels that ``wiring`` says, by their names.
+    """The pneumatic arm, a ``firmware_sim.plants.plant.Plant``.
 
-    ``seed`` is that of the potentiometers' noise; ``changes`` happen as the arm's own time reaches theirs.
-    An axis that ``wiring`` leaves out has ``REST_V`` on its valve. Raises EnvironmentLackError when the
-    dynamics are not compiled.
+    ``seed`` is the seed of the potentiometers' noise. Each of ``events`` happens when the arm's time reaches
+    it. ``wiring`` maps the name of an axis to its board channels. An axis that it leaves out has ``REST_V``
+    on its valve, and nothing reads its potentiometer.
+
+    Raises EnvironmentLackError if the dynamics are not compiled.
     """
 
     def __init__(
@@ -82,12 +95,12 @@ class Arm:
         parameters: ArmParameters,
         *,
         seed: int,
-        changes: Iterable[AnyChange] = (),
+        events: Iterable[AnyEvent] = (),
         wiring: Mapping[str, Wires] = STRAIGHT,
     ) -> None:
         self.parameters = parameters
         self._dynamics = native.Dynamics()
-        self.conditions, self.state = _charged(parameters)
+        self.conditions, self.state = _initial(parameters)
         self._arguments = byref(native.pack(parameters)), byref(self.conditions), byref(self.state)
         self._axes = tuple(self.state.axis)
         self._travel = parameters.travel
@@ -98,38 +111,42 @@ class Arm:
             for axis, state, travel in zip(parameters.ordered, self._axes, self._travel, strict=True)
         ]
         sound_m_s = math.sqrt(HEAT_RATIO * GAS_J_KG_K * self.conditions.air_k)
-        inputs = [
-            (ValveInput(axis.valve), round(1e9 * axis.cylinder.tube_m / sound_m_s), conditions, channel)
+        valves = [
+            _ValveLine(
+                ValveInput(axis.valve), round(1e9 * axis.cylinder.tube_m / sound_m_s), conditions, channel
+            )
             for channel, (axis, conditions) in enumerate(
                 zip(parameters.ordered, self.conditions.axis, strict=True)
             )
         ]
-        self._inputs = inputs
+        self._valves = valves
         self._outputs = [(AXES.index(name), wires.potentiometer) for name, wires in wiring.items()]
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
-        self._entries = 0
+        self._scheduled_count = 0
         self._reading: Sequence[float] | None = None
         self.time_ns = -REST_NS
-        """The arm's own time, 0 at its start."""
+        """The arm's own time: 0 when the arm has settled and the simulation starts."""
         self.advance(REST_NS, REST_V)
-        self._inputs = [(*inputs[AXES.index(name)][:3], wires.valve) for name, wires in wiring.items()]
-        for change in changes:
-            self.schedule(change)
+        self._valves = [
+            valves[AXES.index(name)]._replace(channel=wires.valve) for name, wires in wiring.items()
+        ]
+        for event in events:
+            self.schedule(event)
 
-    def schedule(self, change: AnyChange) -> None:
-        """Have ``change`` happen when the arm's time reaches its ``at_s``; at once when that has passed."""
-        self._enter(round(change.at_s * 1e9), partial(self.apply, change))
+    def schedule(self, event: AnyEvent) -> None:
+        """Schedule an event for its ``at_s``. If that time has passed, the event happens at once."""
+        self._schedule(round(event.at_s * 1e9), partial(self.apply, event))
 
     def advance(self, duration_ns: int, valve_v: Sequence[float]) -> None:
         """Hold the valve voltages (V, by channel) for ``duration_ns`` from now.
 
-        Raises SimulationError when a voltage is no number, or the state leaves what an arm can be in.
+        Raises SimulationError if a voltage is not finite, or if the simulation diverges.
         """
-        for valve, delay_ns, conditions, channel in self._inputs:
+        for valve, delay_ns, conditions, channel in self._valves:
             volts = valve_v[channel]
             if volts != valve.held_v:
                 command = partial(setattr, conditions, "spool_command", valve.spool_command(volts))
-                self._enter(self.time_ns + delay_ns, command)
+                self._schedule(self.time_ns + delay_ns, command)
         end_ns = self.time_ns + duration_ns
         agenda = self._agenda
         while True:
@@ -140,7 +157,10 @@ class Arm:
             self._integrate(min(end_ns, agenda[0][0]) if agenda else end_ns)
 
     def potentiometer_v(self) -> Sequence[float]:
-        """The potentiometers' voltages now (V, by channel), 0 to 10 V; the same when read again at once."""
+        """Return the potentiometers' voltages now (V, by channel), 0 to 10 V.
+
+        A second call at the same instant returns the same readings: the noise is drawn once an instant.
+        """
         if self._reading is None:
             volts = [
                 potentiometer.volts(state.position_m * travel)
@@ -152,7 +172,7 @@ class Arm:
         return self._reading
 
     def view(self) -> ArmView:
-        """The arm as it is now."""
+        """Return the true state of the arm now."""
         state = self.state
         axes = tuple(
             AxisView(
@@ -165,34 +185,34 @@ class Arm:
         )
         return ArmView(self.time_ns, axes, state.supply_pa, self.conditions.payload_kg, state.supplied_kg)
 
-    def ailments(self) -> list[str]:
-        """What is not as the arm file has it, payload and supply apart, in words."""
+    def abnormal_conditions(self) -> list[str]:
+        """Return, in words, what differs from the arm file, except payload and supply pressure."""
         air_c, file_c = self.conditions.air_k - kelvin(0.0), self.parameters.supply.temperature_c
-        told = [f"air {air_c:.0f} °C"] if abs(air_c - file_c) > 1e-6 else []
+        texts = [f"air {air_c:.0f} °C"] if abs(air_c - file_c) > 1e-6 else []
         for name, axis, (potentiometer, _, _) in zip(
             AXES, self.conditions.axis, self._potentiometers, strict=True
         ):
             if axis.spool_free == 0.0:
-                told.append(f"{name}: spool stuck")
+                texts.append(f"{name}: spool stuck")
             if axis.friction_factor != 1.0:
-                told.append(f"{name}: friction x {axis.friction_factor:g}")
-            told += [
+                texts.append(f"{name}: friction x {axis.friction_factor:g}")
+            texts += [
                 f"{name}: chamber {k} leaks" for k, leak in enumerate(axis.leak_m3_s_pa, 1) if leak > 0.0
             ]
             if potentiometer.broken:
-                told.append(f"{name}: wire broken")
-        return told
+                texts.append(f"{name}: wire broken")
+        return texts
 
-    def apply(self, change: AnyChange) -> None:
-        """Have ``change`` happen now, whatever its ``at_s``."""
-        match change:
+    def apply(self, event: AnyEvent) -> None:
+        """Let an event happen now, whatever its ``at_s`` is."""
+        match event:
             case Payload(mass_kg=mass_kg):
-                self._carry(mass_kg)
+                self._set_payload(mass_kg)
             case SupplyPressure(gauge_kpa=gauge_kpa):
                 self.conditions.regulator_pa = absolute_pa(gauge_kpa, self.parameters.supply)
             case Temperature(celsius=celsius):
                 self.conditions.air_k = kelvin(celsius)
-            case FrictionChange(axis=name, factor=factor):
+            case FrictionFactor(axis=name, factor=factor):
                 self.conditions.axis[AXES.index(name)].friction_factor = factor
             case Leak(axis=name, chamber=chamber, conductance_m3_s_pa=conductance):
                 self.conditions.axis[AXES.index(name)].leak_m3_s_pa[chamber - 1] = conductance
@@ -202,12 +222,12 @@ class Arm:
                 self._potentiometers[AXES.index(name)][0].broken = broken
         self._reading = None
 
-    def _enter(self, due_ns: int, action: Callable[[], None]) -> None:
-        self._entries += 1
-        heappush(self._agenda, (due_ns, self._entries, action))
+    def _schedule(self, due_ns: int, action: Callable[[], None]) -> None:
+        self._scheduled_count += 1  # keeps the order of actions that are due at the same instant
+        heappush(self._agenda, (due_ns, self._scheduled_count, action))
 
-    def _carry(self, payload_kg: float) -> None:
-        """A payload picked up was at rest and takes momentum; one dropped takes its own along."""
+    def _set_payload(self, payload_kg: float) -> None:
+        """Change the payload. A mass picked up was at rest and slows the arm; a mass dropped does not."""
         before = self._inertias()
         self.conditions.payload_kg = payload_kg
         for axis, old, new in zip(self.state.axis, before, self._inertias(), strict=True):
@@ -229,28 +249,34 @@ class Arm:
         self.time_ns = until_ns
         self._reading = None
         if fault:
-            raise SimulationError(self._complaint(fault))
+            raise SimulationError(self._divergence_text(fault))
 
-    def _complaint(self, fault: int) -> str:
+    def _divergence_text(self, fault: int) -> str:
         when = f"the simulated arm diverged before {self.time_ns * 1e-9:.3f} s of its time"
-        remedy = f"step_s {self.parameters.step_s} s of the arm file may be too long for its stiffest part"
+        remedy = (
+            f"step_s ({self.parameters.step_s} s) of the arm file may be too long for its stiffest part; "
+            "try a shorter one"
+        )
         if fault > len(AXES):
-            return f"{when}: supply pressure {self.state.supply_pa:.4g} Pa; {remedy}"
+            return f"{when}: supply pressure {self.state.supply_pa:.4g} Pa. {remedy}"
         axis = self.state.axis[fault - 1]
         return (
             f"{when}: {AXES[fault - 1]} at {axis.position_m:.4g} m of its cylinder, "
             f"{axis.velocity_m_s:.4g} m/s, chambers at {axis.pressure_pa[0]:.4g} and "
-            f"{axis.pressure_pa[1]:.4g} Pa; {remedy}, or it meets its end harder than stop and "
-            f"cylinder.dead_volume_m3 of axes.{AXES[fault - 1]} can take"
+            f"{axis.pressure_pa[1]:.4g} Pa. {remedy}. Or the piston reaches its end faster than stop and "
+            f"cylinder.dead_volume_m3 of axes.{AXES[fault - 1]} can withstand"
         )
 
 
-def _charged(parameters: ArmParameters) -> tuple[native.Conditions, native.State]:
-    """Nominal conditions; the arm at mid-stroke, at rest, air in the chambers."""
+def _initial(parameters: ArmParameters) -> tuple[native.ArmConditions, native.ArmState]:
+    """Return nominal conditions, and the state at rest at mid-stroke.
+
+    Each chamber has the mean of supply and atmospheric pressure.
+    """
     supply = parameters.supply
     pressure_pa = absolute_pa(supply.gauge_kpa, supply)
-    conditions = native.Conditions(regulator_pa=pressure_pa, air_k=kelvin(supply.temperature_c))
-    state = native.State(supply_pa=pressure_pa)
+    conditions = native.ArmConditions(regulator_pa=pressure_pa, air_k=kelvin(supply.temperature_c))
+    state = native.ArmState(supply_pa=pressure_pa)
     chamber_pa = 0.5 * (pressure_pa + absolute_pa(0.0, supply))
     for c, s, axis in zip(conditions.axis, state.axis, parameters.ordered, strict=True):
         c.spool_free = c.friction_factor = 1.0

@@ -1,24 +1,27 @@
-/* The pneumatic arm's dynamics: three coupled axes, integrated over a stretch in which no command changes.
+/* Dynamics of the pneumatic arm: three coupled axes, integrated over an interval of constant commands.
  *
- * Lives here: the equations of motion and their time step. Does not live here: commands and their delays, what
- * changes during a run, sensors (arm.py, conditions.py), the checks of parameters (parameters.py). The structs
- * are mirrored, field for field, in native.py.
+ * This file has the equations of motion and their time step. Commands with their delays, events and sensors are in
+ * arm.py, events.py and pins.py; the checks of the parameters are in arm_file.py. native.py mirrors the structs field
+ * for field.
  *
- * Every axis is a rodless double-acting cylinder in its own coordinate x: metres, 0 at mid-stroke, rising as
+ * Each axis is a rodless double-acting cylinder with its own coordinate x in metres: 0 at mid-stroke, increasing as
  * chamber 1 fills. The rotation's cylinder turns the arm by theta = x / pulley radius. Pressures are absolute.
  *
- * Sources. Rigid body: Lagrange's equations, written out in parameters.py. Orifices: ISO 6358-1, made linear
- * where the pressures nearly meet. Chambers: the first law for an open volume with heat through its wall, as in
- * Richer and Hurmuzlu, J. Dyn. Sys. Meas. Control 122 (2000). Friction: LuGre, Canudas de Wit, Olsson, Astrom
- * and Lischinsky, IEEE Trans. Autom. Control 40 (1995), with a rational Stribeck curve. End stops: Hunt and
- * Crossley, J. Appl. Mech. 42 (1975), whose force starts from nothing at contact.
+ * Sources
+ * - Rigid body: Lagrange's equations, written out in parameters.py.
+ * - Orifices: ISO 6358-1, linearised where the pressures are nearly equal.
+ * - Chambers: first law of thermodynamics for an open volume with heat through its wall, as in Richer and Hurmuzlu,
+ *   J. Dyn. Sys. Meas. Control 122 (2000).
+ * - Friction: LuGre, Canudas de Wit, Olsson, Astrom and Lischinsky, IEEE Trans. Autom. Control 40 (1995), with a
+ *   rational Stribeck curve.
+ * - End stops: Hunt and Crossley, J. Appl. Mech. 42 (1975). The force is continuous at contact.
  *
- * Time step: a leapfrog. Air stands half a step behind spool, positions and velocities, so that each is stepped
- * with the other halfway: air by an implicit rule linearised at its start, the body by drift, kick and drift, the
- * kick by the midpoint rule with friction implicit in it.
+ * Time step: leapfrog. The pressures are half a step behind spool, positions and velocities, so that each group is
+ * stepped with the midpoint values of the other. Pressures take an implicit step, linearised at its start. The body
+ * takes drift, kick and drift; the kick is the midpoint rule with implicit friction.
  *
- * Only + - * / and sqrt are used, which IEEE 754 rounds in one way, so a run gives the same bytes on every
- * machine. Never compile this with -ffast-math, nor without -ffp-contract=off.
+ * Only + - * / and sqrt are used, which IEEE 754 rounds in exactly one way. So a run gives the same bytes on every
+ * machine. Never compile this file with -ffast-math or without -ffp-contract=off.
  */
 
 #include <math.h>
@@ -40,7 +43,7 @@ struct arm_parameters {
 };
 
 struct axis_conditions {
-    double spool_command; /* -1 to 1, delayed and with play already */
+    double spool_command; /* -1 to 1, after delay and play */
     double spool_free;    /* 1, or 0 while the spool is stuck */
     double friction_factor;
     double leak_m3_s_pa[CHAMBERS];
@@ -60,26 +63,26 @@ struct axis_state {
 struct arm_state {
     struct axis_state axis[AXES];
     double supply_pa;
-    double supplied_kg, exhausted_kg; /* air since the start */
+    double supplied_kg, exhausted_kg; /* masses of air since the start */
 };
 
 static const double HEAT_RATIO = 1.4, GAS_J_KG_K = 287.05, GRAVITY_M_S2 = 9.80665;
 static const double REFERENCE_KG_M3 = 1.185, REFERENCE_K = 293.15; /* ISO 6358 */
-static const double LINEAR_FROM = 0.99; /* the ratio of pressures over which an orifice is linear */
-static const double MOST_PA = 1e7, MOST_M_S = 1e3;
-static const double PIECES_A_TIME_CONSTANT = 2.0;
-enum { MOST_PIECES = 10000 };
+static const double LINEAR_FROM = 0.99; /* pressure ratio above which an orifice is linear */
+static const double MAX_PRESSURE_PA = 1e7, MAX_SPEED_M_S = 1e3; /* beyond them the simulation has diverged */
+static const double PIECES_PER_TIME_CONSTANT = 2.0;
+enum { MAX_PIECES = 10000 };
 
 /* ---- air ---- */
 
 struct flow {
-    double kg_s, per_upstream, per_downstream; /* the derivatives in kg/(s Pa) */
+    double kg_s, per_upstream, per_downstream; /* mass flow and its derivatives in kg/(s Pa) */
 };
 
-/* ISO 6358: mass flow is conductance x upstream pressure x this, while it is choked. In kg/m3. */
+/* Density in kg/m3. ISO 6358: choked mass flow = conductance x upstream pressure x this density. */
 static double sonic_density(double air_k) { return REFERENCE_KG_M3 * sqrt(REFERENCE_K / air_k); }
 
-/* `choked` is conductance x sonic density, in kg/(s Pa). */
+/* Flow from the higher to the lower pressure. `choked` is conductance x sonic density, in kg/(s Pa). */
 static struct flow falling_flow(double choked, double critical, double high_pa, double low_pa)
 {
     const double ratio = low_pa / high_pa;
@@ -96,7 +99,7 @@ static struct flow falling_flow(double choked, double critical, double high_pa, 
     return (struct flow){linear * (high_pa - low_pa), linear, -linear};
 }
 
-/* Either way; the densities are sonic_density of the air on either side. */
+/* Flow in either direction, positive from `up` to `down`. The densities are sonic_density() of the air on each side. */
 static struct flow orifice(double conductance, double critical, double up_pa, double up_density, double down_pa,
                            double down_density)
 {
@@ -106,14 +109,14 @@ static struct flow orifice(double conductance, double critical, double up_pa, do
     return (struct flow){-back.kg_s, -back.per_downstream, -back.per_upstream};
 }
 
-/* Conductance of one edge of the spool, rounded by the clearance. */
+/* Conductance of one edge of the spool. The clearance rounds the curve where the edge opens. */
 static double opening(const struct axis_parameters *p, double spool)
 {
     const double lift = spool - p->overlap;
     return 0.5 * p->conductance_m3_s_pa * (lift + sqrt(lift * lift + p->clearance * p->clearance));
 }
 
-/* The midpoint rule; the spool ends at full travel. */
+/* Step the spool by the midpoint rule; it stops at full travel. */
 static void step_spool(const struct axis_parameters *p, const struct axis_conditions *c, struct axis_state *s, double dt)
 {
     const double half = 0.5 * dt, turn = half * p->spool_rad_s;
@@ -127,24 +130,25 @@ static void step_spool(const struct axis_parameters *p, const struct axis_condit
     }
 }
 
-/* How much of its own rise a rate sees in an implicit step that is `stiffness` time constants long: half of it, the
- * trapezoidal rule, while that is small, and all of it at the other end. So a rise decays by 1/(1 + z + z^2/2), of
- * second order and L-stable, as the bristle's. */
+/* Weight of a quantity's own rise in the rate of an implicit step that is `stiffness` time constants long.
+ *
+ * The weight is 1/2 (trapezoidal rule) for a short step and 1 (implicit Euler) for a long one. A deviation then decays
+ * by the factor 1/(1 + z + z^2/2), z = stiffness: second order and L-stable, like the step of the bristle. */
 static double share_of_rise(double stiffness) { return stiffness > 0.0 ? (1.0 + stiffness) / (2.0 + stiffness) : 0.5; }
 
-/* One chamber's part in the implicit step of all pressures: it rises by rise + rise_per_supply times the mean rise
- * that it sees of the supply; of its own it sees `share`. */
+/* One chamber in the implicit step of all pressures. Its pressure rises by rise + rise_per_supply x (mean rise of the
+ * supply during the step). `share` is share_of_rise() of the chamber. */
 struct chamber {
     struct flow in, out;
     double rise, rise_per_supply, share;
 };
 
-/* What all chambers share in a step. */
+/* Quantities that are common to all chambers in a step. */
 struct surroundings {
     double supply_pa, atmosphere_pa, air_k, density;
 };
 
-/* A chamber as the step finds it: volume now, its rate in m3/s, openings to the supply and to the atmosphere. */
+/* A chamber at the start of a step: volume in m3, its rate in m3/s, conductances to the supply and the atmosphere. */
 struct vessel {
     double volume, growth, inlet, outlet;
 };
@@ -172,7 +176,7 @@ static struct chamber solve_chamber(const struct surroundings *around, const str
     return chamber;
 }
 
-/* All chambers and the supply at once. What leaves one volume enters the next: air is conserved to rounding. */
+/* Step all chambers and the supply together. What leaves one volume enters another, so air is conserved to rounding. */
 static void step_pressures(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s,
                            const struct vessel vessels[AXES][CHAMBERS], double dt)
 {
@@ -218,8 +222,10 @@ static void step_pressures(const struct arm_parameters *arm, const struct arm_co
         }
 }
 
-/* From half a step before positions and velocities to half a step after. In pieces where an orifice would empty its
- * vessel within a step or so: no straight line stands for such a flow. */
+/* Step the pressures from half a step before positions and velocities to half a step after them.
+ *
+ * If an orifice would empty its chamber within about one step, the step is divided into pieces, because the
+ * linearisation does not hold for so long. */
 static void step_air(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double dt)
 {
     const double flow_per_m3 = GAS_J_KG_K * c->air_k * sonic_density(c->air_k);
@@ -240,8 +246,8 @@ static void step_air(const struct arm_parameters *arm, const struct arm_conditio
         }
     }
     const double supply_1_s = flow_per_m3 * inlets / arm->supply_m3;
-    const double pieces = PIECES_A_TIME_CONSTANT * dt * (supply_1_s > fastest_1_s ? supply_1_s : fastest_1_s);
-    const int count = pieces < MOST_PIECES ? 1 + (int)pieces : MOST_PIECES;
+    const double pieces = PIECES_PER_TIME_CONSTANT * dt * (supply_1_s > fastest_1_s ? supply_1_s : fastest_1_s);
+    const int count = pieces < MAX_PIECES ? 1 + (int)pieces : MAX_PIECES;
     const double piece_s = dt / count;
     for (int n = 0; n < count; n++) {
         step_pressures(arm, c, s, vessels, piece_s);
@@ -253,10 +259,11 @@ static void step_air(const struct arm_parameters *arm, const struct arm_conditio
 
 /* ---- body ---- */
 
-/* The velocity under a force that friction and end stops answer. `load` scales dry friction.
+/* Step the velocity of one axis under `force`, friction and end stops. `load` scales dry friction.
  *
- * The bristle, z' = v - wear z, takes the second-order L-stable Pade form of its exponential. The second pass has
- * wear at the step's mean velocity: else dry friction would lag behind every acceleration. */
+ * The bristle's equation is z' = v - wear z. Its step uses the second-order, L-stable Pade approximation of the
+ * exponential. The second pass evaluates wear at the mean velocity of the step; with the velocity at the start, dry
+ * friction would lag behind each acceleration. */
 static void kick_axis(const struct axis_parameters *p, struct axis_state *s, double mass, double force,
                       double friction_factor, double load, double dt)
 {
@@ -286,7 +293,7 @@ static void kick_axis(const struct axis_parameters *p, struct axis_state *s, dou
     s->velocity_m_s = 2.0 * mean - s->velocity_m_s;
 }
 
-/* Eq. (1), each row in the coordinate of the axis' own cylinder. */
+/* Step the velocities of all axes: eq. (1), each row in the coordinate of the axis' own cylinder. */
 static void kick_body(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double dt)
 {
     const double link = arm->horizontal_kg, payload = c->payload_kg, pulley = arm->pulley_m;
@@ -310,27 +317,31 @@ static void kick_body(const struct arm_parameters *arm, const struct arm_conditi
     }
 }
 
-/* ---- what native.py calls ---- */
+/* ---- interface for native.py ---- */
 
-/* 0 while the state can be, else 1 + the axis that cannot, or 1 + AXES for the supply. NaN fails every test. */
-static int impossible(const struct arm_parameters *arm, const struct arm_state *s)
+/* Return 0 if the state is possible, 1 + axis if the state of that axis is not, 1 + AXES if the supply is not.
+ * A NaN is never possible. */
+static int fault_of(const struct arm_parameters *arm, const struct arm_state *s)
 {
     for (int a = 0; a < AXES; a++) {
         const struct axis_state *x = &s->axis[a];
-        const int pressures = x->pressure_pa[0] > 0.0 && x->pressure_pa[0] < MOST_PA && x->pressure_pa[1] > 0.0 &&
-                              x->pressure_pa[1] < MOST_PA && x->air_kg[0] > 0.0 && x->air_kg[1] > 0.0;
+        const int pressures = x->pressure_pa[0] > 0.0 && x->pressure_pa[0] < MAX_PRESSURE_PA &&
+                              x->pressure_pa[1] > 0.0 && x->pressure_pa[1] < MAX_PRESSURE_PA &&
+                              x->air_kg[0] > 0.0 && x->air_kg[1] > 0.0;
         const double room = arm->axis[a].half_stroke_m + arm->axis[a].dead_volume_m3 / arm->axis[a].area_m2;
-        if (!(pressures && fabs(x->position_m) < room && fabs(x->velocity_m_s) < MOST_M_S && fabs(x->spool) < 2.0))
+        if (!(pressures && fabs(x->position_m) < room && fabs(x->velocity_m_s) < MAX_SPEED_M_S && fabs(x->spool) < 2.0))
             return 1 + a;
     }
-    return s->supply_pa > 0.0 && s->supply_pa < MOST_PA ? 0 : 1 + AXES;
+    return s->supply_pa > 0.0 && s->supply_pa < MAX_PRESSURE_PA ? 0 : 1 + AXES;
 }
 
+/* Integrate over duration_s in `steps` equal steps. Stops at the first state that is not possible, and returns its
+ * fault_of(); 0 means success. */
 int arm_advance(const struct arm_parameters *arm, const struct arm_conditions *c, struct arm_state *s, double duration_s,
                 int steps)
 {
     const double dt = duration_s / steps;
-    int fault = impossible(arm, s);
+    int fault = fault_of(arm, s);
     for (int n = 0; n < steps && fault == 0; n++) {
         step_air(arm, c, s, dt);
         for (int a = 0; a < AXES; a++) {
@@ -340,12 +351,12 @@ int arm_advance(const struct arm_parameters *arm, const struct arm_conditions *c
         kick_body(arm, c, s, dt);
         for (int a = 0; a < AXES; a++)
             s->axis[a].position_m += 0.5 * dt * s->axis[a].velocity_m_s;
-        fault = impossible(arm, s);
+        fault = fault_of(arm, s);
     }
     return fault;
 }
 
-/* Sizes of the three structs, so that native.py notices a library built from other sources. */
+/* Sizes of the three structs. native.py compares them to detect a library that was built from other sources. */
 void arm_layout(int sizes[3])
 {
     sizes[0] = (int)sizeof(struct arm_parameters);

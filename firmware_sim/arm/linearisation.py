@@ -1,14 +1,16 @@
-"""Eq. (2) of the paper: one axis about rest at mid-stroke, from its physical parameters.
+"""Transfer function of one axis about rest at mid-stroke, from its physical parameters: eq. (2) of the paper.
 
 G(s) = k1 / (s (s^2 + C/M s + k2)),  k1 = gamma R T G / M (A/V1 + A/V2),  k2 = gamma A^2 / M (P1/V1 + P2/V2),
 
-where G is the valve's change of mass flow for a volt (the paper's R = 29.2 m/K is for weight flow). Eq. (2)
-has a pole at 0 where eq. (15), identified on the hardware, has a slow one. Two terms that it leaves out make
-that: the leak around the valve's centre, whose flow rises with a chamber's pressure by Kp, and a spring k:
+where G is the valve's change of mass flow per volt (the paper's R = 29.2 m/K is for weight flow).
+
+Eq. (2) has a pole at 0. Eq. (15), which the paper identified on the hardware, has a slow pole in its place.
+Two effects that eq. (2) neglects make the slow pole: a spring k, and the leak around the valve's centre,
+whose flow rises by Kp per pascal of chamber pressure. With both,
 
 G(s) = k1 / ((s + L) (s^2 + C/M s + k/M) + k2 s),  L = gamma R T Kp / V.
 
-Left out still: dry friction, heat through the walls, the valve's own dynamics and the tube's delay.
+Both forms neglect dry friction, heat through the walls, the valve's own dynamics and the tube's delay.
 """
 
 from __future__ import annotations
@@ -21,37 +23,40 @@ from firmware_sim.arm.pins import FULL_TRAVEL_V
 
 REFERENCE_KG_M3: Final = 1.185
 REFERENCE_K: Final = 293.15
-"""Of ISO 6358."""
+"""Density and temperature of air at the reference conditions of ISO 6358."""
 
 
 class Linearisation(NamedTuple):
-    """Position in the axis' unit from volts of offset from the valve's centre."""
+    """Coefficients of G(s): from volts of offset from the valve's centre to position in the axis' unit."""
 
     k1: float
-    """In axis units per (V s^3)."""
+    """Gain k1 in axis units per (V s^3)."""
     drag_1_s: float
-    """C/M."""
+    """Viscous friction over mass, C/M, in 1/s."""
     k2: float
-    """In 1/s^2."""
+    """Stiffness of the air over mass, k2, in 1/s^2."""
     leak_1_s: float
-    """L."""
+    """Rate L at which the leak around the valve's centre discharges a chamber, in 1/s."""
     spring_1_s2: float
-    """k/M."""
+    """Spring rate over mass, k/M, in 1/s^2."""
     pressure_pa: float
-    """Of both chambers, absolute."""
+    """Absolute pressure of both chambers at rest."""
 
     def equation_2(self, s: complex) -> complex:
-        """The transfer function as the paper has it."""
+        """Return G(s) of eq. (2), as printed in the paper."""
         return self.k1 / (s * (s * s + self.drag_1_s * s + self.k2))
 
     def with_leak_and_spring(self, s: complex) -> complex:
-        """The transfer function with the terms that make the slow pole."""
+        """Return G(s) with leak and spring, which make the slow pole."""
         body = s * s + self.drag_1_s * s + self.spring_1_s2
         return self.k1 / ((s + self.leak_1_s) * body + self.k2 * s)
 
 
 def linearise(arm: ArmParameters, axis: int) -> Linearisation:
-    """About mid-stroke, no payload, chambers balanced. ``axis``: 0 vertical, 1 horizontal, 2 rotation."""
+    """Linearise one axis about mid-stroke, without payload and with balanced chambers.
+
+    ``axis`` is 0 for vertical, 1 for horizontal, 2 for rotation.
+    """
     part, body = arm.ordered[axis], arm.body
     mass_kg = (
         body.vertical_kg + body.horizontal_kg,
@@ -78,8 +83,10 @@ def linearise(arm: ArmParameters, axis: int) -> Linearisation:
 
 
 def _balance(supply: Supply, critical: float) -> tuple[float, float, float]:
-    """Where a chamber between two equal edges stays: its pressure, the flow through either edge over sonic
-    conductance, in Pa, and how much of the surplus of flow a pascal more takes away.
+    """Find the equilibrium of a chamber between two equally open edges, to the supply and to the atmosphere.
+
+    Returns its pressure in Pa, the flow through either edge over its sonic conductance in Pa, and the
+    decrease of net inflow (likewise over sonic conductance) per pascal of chamber pressure.
     """
     high_pa, low_pa = absolute_pa(supply.gauge_kpa, supply), absolute_pa(0.0, supply)
 
@@ -96,6 +103,6 @@ def _balance(supply: Supply, critical: float) -> tuple[float, float, float]:
 
 
 def _flow_pa(up_pa: float, down_pa: float, critical: float) -> float:
-    """ISO 6358: upstream pressure x the flow as a fraction of sonic flow."""
+    """Return upstream pressure times the ratio of flow to choked flow (ISO 6358), in Pa."""
     excess = max(down_pa / up_pa - critical, 0.0) / (1.0 - critical)
     return up_pa * math.sqrt(1.0 - excess**2)

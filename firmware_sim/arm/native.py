@@ -1,9 +1,12 @@
-"""The compiled dynamics, ``dynamics.c``, through ctypes: its structs field for field, and its one call.
+"""Binding to the compiled dynamics (``dynamics.c``) by ctypes: its structs, field for field, and its
+functions.
 
-Why C: one file of plain C is compiled once, at install, loads in a millisecond, needs nothing at run time
-and does its arithmetic in the order it is written. numba would compile at start, or keep a cache and 100 MB
-of LLVM in the process; Cython would add a language. Why ctypes: the file needs no Python headers, and at one
-call for a stretch of some thirty steps the microsecond of ctypes is not seen.
+Why C: one file of plain C is compiled once, at installation. It loads in a millisecond, needs nothing at run
+time, and does its arithmetic in the order in which it is written. numba would compile at start, or keep a
+cache and 100 MB of LLVM in the process; Cython would add a language.
+
+Why ctypes: the file needs no Python headers. One call integrates about forty steps, so the microsecond that
+ctypes costs does not matter.
 """
 
 from __future__ import annotations
@@ -18,11 +21,11 @@ from firmware_sim.arm.parameters import ArmAxis, ArmParameters, absolute_pa
 from hil.core.errors import EnvironmentLackError
 
 _D: Final = ctypes.c_double
-_REMEDY: Final = "install again: apt-get install gcc libc6-dev, then pip install -e ."
+_REMEDY: Final = "install it again: apt-get install gcc libc6-dev, then pip install -e ."
 
 
 class AxisParameters(ctypes.Structure):
-    """``struct axis_parameters``."""
+    """Mirror of ``struct axis_parameters``."""
 
     _fields_ = (
         ("area_m2", _D),
@@ -49,8 +52,8 @@ class AxisParameters(ctypes.Structure):
     )
 
 
-class Parameters(ctypes.Structure):
-    """``struct arm_parameters``."""
+class PackedParameters(ctypes.Structure):
+    """Mirror of ``struct arm_parameters``."""
 
     _fields_ = (
         ("axis", AxisParameters * 3),
@@ -69,7 +72,7 @@ class Parameters(ctypes.Structure):
 
 
 class AxisConditions(ctypes.Structure):
-    """``struct axis_conditions``."""
+    """Mirror of ``struct axis_conditions``."""
 
     _fields_ = (
         ("spool_command", _D),
@@ -79,14 +82,14 @@ class AxisConditions(ctypes.Structure):
     )
 
 
-class Conditions(ctypes.Structure):
-    """``struct arm_conditions``."""
+class ArmConditions(ctypes.Structure):
+    """Mirror of ``struct arm_conditions``."""
 
     _fields_ = (("axis", AxisConditions * 3), ("payload_kg", _D), ("regulator_pa", _D), ("air_k", _D))
 
 
 class AxisState(ctypes.Structure):
-    """``struct axis_state``."""
+    """Mirror of ``struct axis_state``."""
 
     _fields_ = (
         ("spool", _D),
@@ -99,28 +102,33 @@ class AxisState(ctypes.Structure):
     )
 
 
-class State(ctypes.Structure):
-    """``struct arm_state``."""
+class ArmState(ctypes.Structure):
+    """Mirror of ``struct arm_state``."""
 
     _fields_ = (("axis", AxisState * 3), ("supply_pa", _D), ("supplied_kg", _D), ("exhausted_kg", _D))
 
 
 class Dynamics:
-    """The compiled library. Raises EnvironmentLackError when it is missing or of another version."""
+    """The compiled library. Raises EnvironmentLackError if it is missing or outdated."""
 
     def __init__(self) -> None:
         path = _library_path()
         library = ctypes.CDLL(str(path))
         sizes = (ctypes.c_int * 3)()
         library.arm_layout(sizes)
-        if [*sizes] != [ctypes.sizeof(kind) for kind in (Parameters, Conditions, State)]:
-            raise EnvironmentLackError(
-                f"{path.name} was compiled from another version of dynamics.c; {_REMEDY}"
-            )
+        if [*sizes] != [ctypes.sizeof(kind) for kind in (PackedParameters, ArmConditions, ArmState)]:
+            raise EnvironmentLackError(f"{path}: compiled from another version of dynamics.c; {_REMEDY}")
         self.advance = library.arm_advance
-        """(parameters, conditions, state, duration_s, steps) -> 0, or 1 + the axis whose state cannot be
-        (0 to 2), or 4 for the supply."""
-        self.advance.argtypes = [*map(ctypes.POINTER, (Parameters, Conditions, State)), _D, ctypes.c_int]
+        """Integrate: (parameters, conditions, state, duration_s, steps) -> status.
+
+        Status 0 is success. 1, 2, 3 mean that vertical, horizontal, rotation has left the range of possible
+        states; 4 means that the supply has.
+        """
+        self.advance.argtypes = [
+            *map(ctypes.POINTER, (PackedParameters, ArmConditions, ArmState)),
+            _D,
+            ctypes.c_int,
+        ]
         self.advance.restype = ctypes.c_int
 
 
@@ -133,10 +141,10 @@ def _library_path() -> Path:
     raise EnvironmentLackError(f"the simulated arm is not compiled (no _dynamics*.so in {here}); {_REMEDY}")
 
 
-def pack(arm: ArmParameters) -> Parameters:
-    """The parameters as C sees them."""
+def pack(arm: ArmParameters) -> PackedParameters:
+    """Convert an arm file to the struct that the C code reads."""
     body, supply = arm.body, arm.supply
-    return Parameters(
+    return PackedParameters(
         axis=tuple(map(_pack_axis, arm.ordered)),
         vertical_kg=body.vertical_kg,
         horizontal_kg=body.horizontal_kg,

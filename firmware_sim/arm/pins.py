@@ -1,4 +1,4 @@
-"""Between the boards' pins and the arm: what a valve makes of a voltage, a potentiometer of a position."""
+"""Valve input (voltage to spool position) and potentiometer output (position to voltage) of an axis."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from firmware_sim.arm.parameters import Potentiometer, Valve
 from hil.core.errors import SimulationError
 
 FULL_TRAVEL_V: Final = 5.0
-"""Offset from the valve's centre at which the spool is at its end."""
+"""Offset from the valve's centre at which the spool is at full travel."""
 
 _S_PEAK: Final = 6.0 * math.sqrt(3.0)
-"""1 over the largest value of s (1 - s) (1 - 2 s) on 0 to 1."""
+"""Reciprocal of the maximum of s (1 - s) (1 - 2 s) for s from 0 to 1."""
 
 
 class ValveInput:
-    """The valve's electronics: offset from its true centre, limit, and play (hysteresis)."""
+    """Electronics of a valve: offset of its true centre, limit of the command, and play (hysteresis)."""
 
     __slots__ = ("_centre_v", "_engaged_v", "_play_v", "held_v")
 
@@ -26,12 +26,15 @@ class ValveInput:
         self._play_v = valve.hysteresis_v
         self._engaged_v = 0.0
         self.held_v = math.nan
-        """The voltage on the pin."""
+        """Voltage on the pin; NaN before the first command."""
 
     def spool_command(self, volts: float) -> float:
-        """Where ``volts`` on the pin send the spool, -1 to 1. Raises SimulationError for NaN and infinity."""
+        """Return the spool position (-1 to 1) that ``volts`` commands.
+
+        Raises SimulationError if ``volts`` is not finite.
+        """
         if not math.isfinite(volts):
-            raise SimulationError(f"{volts} V on a valve is no voltage")
+            raise SimulationError(f"valve voltage {volts} V is not a finite number")
         self.held_v = volts
         offset = min(max(volts - self._centre_v, -FULL_TRAVEL_V), FULL_TRAVEL_V)
         self._engaged_v = min(max(self._engaged_v, offset - self._play_v), offset + self._play_v)
@@ -39,7 +42,7 @@ class ValveInput:
 
 
 class PotentiometerOutput:
-    """A potentiometer on 10 V: non-linear, noisy, and on a wire that can break."""
+    """A potentiometer on 10 V with non-linearity, noise, and a wire that can break."""
 
     __slots__ = ("_bend", "_noise_v", "_origin", "_random", "_span", "broken")
 
@@ -52,7 +55,10 @@ class PotentiometerOutput:
         self.broken = False
 
     def volts(self, position: float) -> float:
-        """A reading at ``position``, 0 to 10 V; draws from the noise even when the wire is broken."""
+        """Return a reading at ``position``, 0 to 10 V.
+
+        A broken wire draws from the noise too, so that it does not change the noise of the other axes.
+        """
         s = (position - self._origin) / self._span
         volts = 10.0 * (s + self._bend * s * (1.0 - s) * (1.0 - 2.0 * s)) + self._random.gauss(
             0.0, self._noise_v

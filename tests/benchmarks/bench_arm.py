@@ -1,12 +1,17 @@
-"""What the simulated arm costs and how exact it is, against scipy on the same equations in the same run.
+"""Speed and accuracy of the simulated arm, compared with scipy on the same equations in the same run.
 
     python tests/benchmarks/bench_arm.py
 
-Processor time, best of several rounds. Lockstep: a period of 11.2 ms with all three valves changed and all
-three potentiometers read, the Python call included. Accuracy: positions against LSODA at a tolerance of 1e-9,
-in moves over 50 to 120 mm and into the end stops at full voltage. scipy runs in lockstep too, commands new
-every 10 ms, at the loosest tolerance at which it is as exact as the arm; its right-hand side is plain Python.
-Real time: ``firmware-sim`` as a process of its own, with boards and bus, under ``hil run``.
+Times are processor times, the best of several rounds.
+
+- Lockstep: one period of 11.2 ms. All three valves change and all three potentiometers are read.
+- Accuracy: positions compared with LSODA at a tolerance of 1e-9, in moves over 50 to 120 mm and into the end
+stops at
+  full voltage.
+- scipy: new commands every 10 ms, at the loosest tolerance at which it is as accurate as the arm. Its
+right-hand side
+  is plain Python.
+- Real time: ``firmware-sim`` as a separate process, with boards and bus, under ``hil run``.
 """
 
 from __future__ import annotations
@@ -26,11 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 from support.arm_files import arm_with
 from support.arm_reference import Drive, solve, state_of
+from support.shipped_rig import PERIOD_NS
 
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.parameters import shipped_arm
+from firmware_sim.arm.arm_file import shipped_arm
 
-PERIOD_NS = 11_200_000
 PERIODS = 2000
 ROUNDS = 5
 SAMPLE_S = 0.01
@@ -40,7 +45,7 @@ INTO_THE_STOPS = [(0.8, Drive((0.8, -0.8, 0.8))), (0.4, Drive((-0.5, 0.5, -0.5))
 WAVES = [(SAMPLE_S, Drive((s, -s, s))) for s in (0.1 * np.sin(0.1 * np.arange(90))).tolist()]
 START = """
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.parameters import shipped_arm
+from firmware_sim.arm.arm_file import shipped_arm
 Arm(shipped_arm(), seed=1)
 """
 
@@ -48,7 +53,7 @@ States = NDArray[np.float64]
 
 
 def seconds_of(work: Callable[[], object]) -> float:
-    """Least processor time over the rounds."""
+    """Return the smallest processor time of several rounds."""
     spent = []
     for _ in range(ROUNDS):
         began = time.process_time()
@@ -58,7 +63,7 @@ def seconds_of(work: Callable[[], object]) -> float:
 
 
 def lockstep() -> float:
-    """Seconds for a period."""
+    """Return the processor time of one period in seconds."""
     arm = Arm(shipped_arm(), seed=1)
     volts = [(5.0 + s, 5.0 - s, 5.0 + s) for s in 0.4 * np.sin(0.3 * np.arange(PERIODS))]
 
@@ -71,7 +76,7 @@ def lockstep() -> float:
 
 
 def follow(step_s: float, drives: list[tuple[float, Drive]]) -> tuple[float, States]:
-    """Seconds spent and states (n, 28), like the reference's."""
+    """Return processor time in seconds, and states (n, 28) as the reference solution has them."""
     parameters = arm_with(DIRECT | {"step_s": step_s})
     arm = Arm(parameters, seed=1)
     states = []
@@ -88,7 +93,7 @@ def follow(step_s: float, drives: list[tuple[float, Drive]]) -> tuple[float, Sta
 
 
 def share_of_a_core(seconds: int) -> float:
-    """Processor time of ``firmware-sim`` over the time of a run that it serves."""
+    """Return the processor time of ``firmware-sim`` during a run as a fraction of the run's duration."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         bus = f"udp:{probe.getsockname()[1]}"
@@ -114,21 +119,21 @@ def share_of_a_core(seconds: int) -> float:
 
 
 def error_mm(states: States, reference: States) -> float:
-    """Largest, at the cylinders, of all three axes."""
+    """Return the largest position error of all cylinders in mm."""
     return float(1e3 * np.abs(states - reference)[:, [2, 11, 20]].max())
 
 
 def main() -> None:
-    """Print the figures."""
+    """Measure and print."""
     period_s = lockstep()
     print(
         f"lockstep, 3 axes: {1e6 * period_s:.1f} us a period, {PERIOD_NS * 1e-9 / period_s:.0f} x real time"
     )
     began = time.perf_counter()
     subprocess.run([sys.executable, "-c", START], check=True)
-    print(f"a fresh process until the arm stands: {time.perf_counter() - began:.2f} s")
+    print(f"start of a process with the arm: {time.perf_counter() - began:.2f} s")
 
-    print(f"in real time, as its own process: {100 * share_of_a_core(10):.1f} % of a core, with boards")
+    print(f"in real time, as a separate process: {100 * share_of_a_core(10):.1f} % of a core, with boards")
 
     shipped_step_s = shipped_arm().step_s
     start = state_of(Arm(arm_with(DIRECT), seed=1))

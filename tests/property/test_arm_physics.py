@@ -1,4 +1,4 @@
-"""What no arm may do, whatever its parameters and commands: make air, make energy, move by itself."""
+"""Properties of every arm: air and energy are conserved, and no parameters or commands give a NaN."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.arm_files import AIRLESS, FRICTIONLESS, LIMITS, SEALED, arm_text, arm_with
+from support.shipped_rig import CENTRED
 
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.conditions import (
-    AnyChange,
-    FrictionChange,
+from firmware_sim.arm.arm_file import read_arm
+from firmware_sim.arm.events import (
+    AnyEvent,
+    FrictionFactor,
     Leak,
     Payload,
     StuckSpool,
     SupplyPressure,
     Temperature,
 )
-from firmware_sim.arm.parameters import AXES, GRAVITY_M_S2, ArmParameters, read_arm
+from firmware_sim.arm.parameters import AXES, GRAVITY_M_S2, ArmParameters
 from hil.core.errors import DocumentError, SimulationError
 
 MILLISECOND_NS = 1_000_000
-CENTRED = (5.0, 5.0, 5.0)
 volts = st.floats(0.0, 10.0)
 commands = st.lists(st.tuples(volts, volts, volts), min_size=1, max_size=8)
 quick = settings(max_examples=25, deadline=None)
@@ -47,9 +48,7 @@ def air_in_the_machine_kg(arm: Arm) -> float:
 
 @quick
 @given(commands=commands, leak=st.floats(0.0, 1e-6), payload_kg=st.floats(0.0, 5.0))
-def test_air_is_only_moved(
-    commands: list[tuple[float, float, float]], leak: float, payload_kg: float
-) -> None:
+def test_air_is_conserved(commands: list[tuple[float, float, float]], leak: float, payload_kg: float) -> None:
     arm = Arm(arm_with({}), seed=1)
     arm.apply(Leak(at_s=0.0, axis="horizontal", chamber=2, conductance_m3_s_pa=leak))
     arm.apply(Payload(at_s=0.0, mass_kg=payload_kg))
@@ -62,17 +61,17 @@ def test_air_is_only_moved(
 
 
 def extreme(low: float, high: float) -> st.SearchStrategy[float]:
-    """The limits, what lies between, and small magnitudes of it."""
+    """Draw the limits, values between them, and values of small magnitude."""
     small = st.floats(-9.0, 0.0).map(lambda exponent: max(low, high * 10.0**exponent))
     return st.sampled_from((low, high)) | st.floats(low, high) | small
 
 
-changes = st.one_of(
+events = st.one_of(
     st.builds(Payload, at_s=st.just(0.0), mass_kg=extreme(0.0, 100.0)),
     st.builds(SupplyPressure, at_s=st.just(0.0), gauge_kpa=extreme(0.0, 1000.0)),
     st.builds(Temperature, at_s=st.just(0.0), celsius=extreme(-20.0, 60.0)),
     st.builds(
-        FrictionChange, at_s=st.just(0.0), axis=st.sampled_from(AXES), factor=extreme(0.0, 20.0)
+        FrictionFactor, at_s=st.just(0.0), axis=st.sampled_from(AXES), factor=extreme(0.0, 20.0)
     ),
     st.builds(
         Leak,
@@ -88,14 +87,14 @@ spans_ms = st.sampled_from((1, 11, 100, 700))
 
 
 @settings(max_examples=150, deadline=None)
-@given(steps=st.lists(st.tuples(changes, st.tuples(hard, hard, hard), spans_ms), min_size=1, max_size=12))
-def test_the_arm_stands_every_change_within_its_limits(
-    steps: list[tuple[AnyChange, tuple[float, float, float], int]],
+@given(steps=st.lists(st.tuples(events, st.tuples(hard, hard, hard), spans_ms), min_size=1, max_size=12))
+def test_the_arm_survives_every_event_within_its_limits(
+    steps: list[tuple[AnyEvent, tuple[float, float, float], int]],
 ) -> None:
     arm = Arm(arm_with({}), seed=1)
-    for change, command, span_ms in steps:
-        arm.apply(change)
-        arm.advance(span_ms * MILLISECOND_NS, command)  # SimulationError: it diverged
+    for event, command, span_ms in steps:
+        arm.apply(event)
+        arm.advance(span_ms * MILLISECOND_NS, command)  # raises SimulationError if the arm diverges
         assert all(0.0 <= reading <= 10.0 for reading in arm.potentiometer_v())
         coldest, hottest = 80.0, 2000.0
         for axis, volumes in zip(arm.state.axis, volumes_m3(arm), strict=True):
@@ -108,10 +107,10 @@ keys = st.sampled_from(sorted(key for key in LIMITS if key != "step_s"))
 
 @settings(max_examples=150, deadline=None)
 @given(data=st.data(), commands=st.lists(st.tuples(hard, hard, hard), min_size=1, max_size=4))
-def test_an_arm_file_within_its_limits_runs_or_says_why_not(
+def test_an_arm_file_within_its_limits_runs_or_is_rejected_with_a_message(
     data: st.DataObject, commands: list[tuple[float, float, float]]
 ) -> None:
-    """Refused in words, or run; what only a run shows to be too stiff ends in words too. Never NaN."""
+    """A file is rejected with a message or runs. A run that diverges ends with a message, not with NaN."""
     values = {
         key: data.draw(extreme(*LIMITS[key]), key)
         for key in data.draw(st.lists(keys, min_size=1, max_size=5))
@@ -174,7 +173,7 @@ def test_without_pressure_nothing_moves(commands: list[tuple[float, float, float
 
 
 def energy_j(arm: Arm) -> float:
-    """Of bodies, springs and gravity."""
+    """Return the energy of bodies, springs and gravity."""
     parameters, (vertical, horizontal, rotation) = arm.parameters, arm.state.axis
     body, payload_kg = parameters.body, arm.conditions.payload_kg
     reach_m = body.reach_m + horizontal.position_m
@@ -196,7 +195,7 @@ def energy_j(arm: Arm) -> float:
     )
 
 
-def turning_kg_m2_s(arm: Arm) -> float:
+def angular_momentum_kg_m2_s(arm: Arm) -> float:
     body, payload_kg = arm.parameters.body, arm.conditions.payload_kg
     reach_m = body.reach_m + arm.state.axis[1].position_m
     inertia = body.base_kg_m2 + body.horizontal_kg * reach_m**2 + payload_kg * (reach_m + body.tip_m) ** 2
@@ -208,7 +207,7 @@ def turning_kg_m2_s(arm: Arm) -> float:
     speeds=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.5, 0.5), st.floats(-0.25, 0.25)),
     payload_kg=st.floats(0.0, 5.0),
 )
-def test_bodies_without_air_and_friction_keep_their_energy_and_turning(
+def test_bodies_without_air_and_friction_conserve_energy_and_angular_momentum(
     speeds: tuple[float, float, float], payload_kg: float
 ) -> None:
     free = FRICTIONLESS | AIRLESS | {"axes.rotation.spring.rate_n_m": 0.0, "step_s": 1e-4}
@@ -217,12 +216,12 @@ def test_bodies_without_air_and_friction_keep_their_energy_and_turning(
     arm.state.axis[0].position_m = 0.0
     for axis, speed in zip(arm.state.axis, speeds, strict=True):
         axis.velocity_m_s = speed
-    energy, turning = energy_j(arm), turning_kg_m2_s(arm)
+    energy, momentum = energy_j(arm), angular_momentum_kg_m2_s(arm)
     scale = max(abs(energy), 0.1)
     for _ in range(40):
         arm.advance(5 * MILLISECOND_NS, CENTRED)
         assert energy_j(arm) == pytest.approx(energy, abs=2e-3 * scale)
-        assert turning_kg_m2_s(arm) == pytest.approx(turning, abs=1e-3 * max(abs(turning), 1e-3))
+        assert angular_momentum_kg_m2_s(arm) == pytest.approx(momentum, abs=1e-3 * max(abs(momentum), 1e-3))
 
 
 @settings(max_examples=60, deadline=None)
@@ -236,7 +235,7 @@ def test_bodies_without_air_and_friction_keep_their_energy_and_turning(
     speed=st.floats(-2.0, 2.0),
     stretch=st.floats(-1.0, 1.0),
 )
-def test_friction_never_gives_energy(
+def test_friction_never_generates_energy(
     coulomb_n: float,
     stick: float,
     stribeck_m_s: float,
@@ -266,14 +265,17 @@ def _only_friction(
     viscous_n_s_m: float,
     share: float,
 ) -> ArmParameters:
-    """Nothing but friction acts on the horizontal axis; bristle damping a share of what is allowed."""
-    most = min(viscous_n_s_m / max(stick - 1.0, 1e-9), 1e4)
+    """Return an arm on whose horizontal axis only friction acts.
+
+    ``share`` is the bristle's damping as a fraction of its limit.
+    """
+    max_damping = min(viscous_n_s_m / max(stick - 1.0, 1e-9), 1e4)
     friction = {
         "coulomb_n": coulomb_n,
         "static_n": stick * coulomb_n,
         "stribeck_m_s": stribeck_m_s,
         "bristle_n_m": bristle_n_m,
-        "bristle_n_s_m": share * most,
+        "bristle_n_s_m": share * max_damping,
         "viscous_n_s_m": viscous_n_s_m,
         "per_moment_1_n_m": 0.0,
     }
@@ -287,7 +289,7 @@ def _only_friction(
 
 @quick
 @given(speed=st.floats(-3.0, 3.0), depth_m=st.floats(1e-4, 2e-3), side=st.sampled_from([-1.0, 1.0]))
-def test_a_stop_only_pushes(speed: float, depth_m: float, side: float) -> None:
+def test_a_stop_pushes_and_never_pulls(speed: float, depth_m: float, side: float) -> None:
     arm = Arm(arm_with(FRICTIONLESS | AIRLESS | {"axes.horizontal.spring.rate_n_m": 0.0}), seed=1)
     axis = arm.state.axis[1]
     axis.position_m, axis.velocity_m_s = side * (0.15 + depth_m), side * speed

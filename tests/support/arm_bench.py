@@ -1,4 +1,4 @@
-"""A bench for the simulated arm: 12-bit converters, experiments, and a small OE(1,3,1) estimator."""
+"""A bench for the simulated arm: 12 bit converters, experiments, and a small OE(1,3,1) estimator."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.conditions import AnyChange
-from firmware_sim.arm.parameters import ArmParameters, shipped_arm
+from firmware_sim.arm.arm_file import shipped_arm
+from firmware_sim.arm.events import AnyEvent
+from firmware_sim.arm.parameters import ArmParameters
 from hil.core.control_law import ControlLaw
 from hil.core.controller_file import PidLaw
+from support.shipped_rig import PERIOD_NS, PERIOD_S
 
-PERIOD_S = 0.0112
-PERIOD_NS = 11_200_000
 COUNTS = 4096
 
 Array = NDArray[np.float64]
@@ -29,18 +29,19 @@ PPID = PidLaw(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162)
 
 
 def quantise(volts: float) -> float:
-    """What 12-bit converters make of 0 to 10 V."""
+    """Return the voltage that a 12 bit converter gives for 0 to 10 V."""
     return min(max(round(volts * COUNTS / 10.0), 0), COUNTS - 1) * 10.0 / COUNTS
 
 
 class Bench:
-    """An arm behind converters. Positions in the axis' unit, valve voltages as offsets from 5 V."""
+    """An arm behind converters. Positions are in the axis' unit, valve voltages are offsets from 5 V."""
 
     def __init__(self, parameters: ArmParameters, *, seed: int = 1, **arguments: object) -> None:
         self.parameters = parameters
         self.arm = Arm(parameters, seed=seed, **arguments)  # type: ignore[arg-type]
 
     def read(self) -> list[float]:
+        """Return the positions as the gateway would compute them."""
         tracks = (axis.potentiometer for axis in self.parameters.ordered)
         return [
             track.y_at_0v + (track.y_at_10v - track.y_at_0v) * quantise(volts) / 10.0
@@ -48,12 +49,12 @@ class Bench:
         ]
 
     def hold(self, offsets_v: Sequence[float]) -> None:
-        """One period."""
+        """Hold these offsets for one period."""
         self.arm.advance(PERIOD_NS, [quantise(5.0 + offset) for offset in offsets_v])
 
 
 def prbs(samples: int, hold: int, seed: int) -> Array:
-    """Plus and minus one, changing at most every ``hold`` samples."""
+    """Return plus and minus ones that change at most every ``hold`` samples."""
     random = Random(seed)
     values = [random.choice((-1.0, 1.0)) for _ in range(-(-samples // hold))]
     return np.repeat(values, hold)[:samples]
@@ -66,10 +67,13 @@ def excite(
     *,
     seed: int,
     duration_s: float = 60.0,
-    changes: Sequence[AnyChange] = (),
+    events: Sequence[AnyEvent] = (),
 ) -> tuple[Array, Array]:
-    """Centre an axis by a slow loop, then excite it in open loop. Offsets in volts, positions in its unit."""
-    bench = Bench(parameters, seed=seed, changes=changes)
+    """Centre an axis by a slow loop, then excite it in open loop.
+
+    Returns the offsets in volts and the positions in the axis' unit.
+    """
+    bench = Bench(parameters, seed=seed, events=events)
     travel = parameters.travel[axis]
     offsets = [0.0, 0.0, 0.0]
     for _ in range(int(10.0 / PERIOD_S)):
@@ -85,9 +89,10 @@ def excite(
 
 
 def record_for_fig_5(axis: int) -> str:
-    """The CSV beside a shipped plant: excited as for its identification, by a seed that was not used there.
+    """Return the CSV beside a shipped plant: excited as for its identification, with another seed.
 
-    In tests/: python -c "from support.arm_bench import *; print(record_for_fig_5(0), end='')" > vertical.csv
+    To write it, run in tests/: python -c "from support.arm_bench import *; print(record_for_fig_5(0),
+    end='')" > vertical.csv
     """
     u, y = excite(shipped_arm(), axis, 0.4, seed=4, duration_s=16.0)
     rows = (
@@ -98,7 +103,7 @@ def record_for_fig_5(axis: int) -> str:
 
 
 class Model(NamedTuple):
-    """velocity_gain w^2 / ((s + slow_rad_s) (s^2 + 2 damping w s + w^2)), w = mode_rad_s."""
+    """G(s) = velocity_gain w^2 / ((s + slow_rad_s) (s^2 + 2 damping w s + w^2)) with w = mode_rad_s."""
 
     velocity_gain: float
     slow_rad_s: float
@@ -108,10 +113,10 @@ class Model(NamedTuple):
 
 
 def identify(u: Array, y: Array, stops: float) -> Model:
-    """OE(1,3,1) on continuous poles in logarithms, by the inverse of the zero-order hold.
+    """Estimate OE(1,3,1) over the logarithms of the continuous poles.
 
-    Numerator gain, input offset and initial state enter linearly and are projected out. Samples nearer to the
-    stops than ``stops`` leaves are left out.
+    The discrete poles are those of a zero-order hold. Gain, input offset and initial state enter linearly and
+    are eliminated. Samples with |y| of at least ``stops`` are not used.
     """
     inside = np.abs(y) < stops
     scale = np.std(y[inside])
@@ -143,7 +148,7 @@ def identify(u: Array, y: Array, stops: float) -> Model:
 
 
 class Track(NamedTuple):
-    """A closed-loop run: times (n,), and true positions, setpoints and outputs (n, 3)."""
+    """A closed-loop run: times (n,); true positions, setpoints and controller outputs (n, 3)."""
 
     time_s: Array
     position: Array
@@ -154,7 +159,7 @@ class Track(NamedTuple):
 def close_loops(
     bench: Bench, laws: Sequence[PidLaw], setpoints: Sequence[Setpoint], duration_s: float
 ) -> Track:
-    """Independent loops, the actuation one period late as with boards that apply at SYNC."""
+    """Run one loop for each axis. Outputs act one period late, as on boards that apply them at SYNC."""
     controllers = [ControlLaw(law, PERIOD_S) for law in laws]
     waiting = [0.0, 0.0, 0.0]
     rows = []
@@ -174,7 +179,7 @@ def close_loops(
 
 
 def stairs(*levels: tuple[float, float]) -> Setpoint:
-    """Piecewise constant: (from that second on, that level)."""
+    """Return a piecewise constant setpoint from (time in seconds from which it holds, level)."""
 
     def setpoint(time_s: float) -> float:
         return [level for start, level in levels if time_s >= start][-1]
@@ -183,7 +188,7 @@ def stairs(*levels: tuple[float, float]) -> Setpoint:
 
 
 class Step(NamedTuple):
-    """What one step of a track did; the error is setpoint minus the mean of the last 0.2 s."""
+    """Readings of one step. ``error`` is the setpoint minus the mean position of the last 0.2 s."""
 
     settling_s: float
     overshoot_percent: float
@@ -191,7 +196,7 @@ class Step(NamedTuple):
 
 
 def measure_step(track: Track, axis: int, start_s: float, end_s: float) -> Step:
-    """Settling into 2 % of the step, infinite when it never does; the setpoint stepped at ``start_s``."""
+    """Read the step at ``start_s``. Settling is into 2 % of the step; it is infinite without settling."""
     window = (track.time_s >= start_s - 1e-9) & (track.time_s < end_s)
     time_s, y = track.time_s[window] - start_s, track.position[window, axis]
     target = track.setpoint[window, axis][-1]

@@ -1,4 +1,4 @@
-"""Arms that differ from the shipped one in a few numbers."""
+"""Arm files that differ from the shipped one in a few numbers."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from typing import Any
 
 import msgspec
 
-from firmware_sim.arm.parameters import AXES, ArmParameters, shipped_arm
+from firmware_sim.arm.arm_file import shipped_arm
+from firmware_sim.arm.parameters import AXES, ArmParameters
 
 SHIPPED_TEXT = (resources.files("firmware_sim.arm") / "arm.toml").read_text(encoding="utf-8")
 
 
 def arm_with(changes: dict[str, float]) -> ArmParameters:
-    """The shipped arm with values replaced by their dotted key; ``*`` stands for each axis. Not checked."""
+    """Return the shipped arm with values changed by dotted key (``*``: every axis), without checks."""
     plain = msgspec.to_builtins(shipped_arm())
     for dotted, value in changes.items():
         for name in AXES if "*" in dotted else ("",):
@@ -27,7 +28,7 @@ def arm_with(changes: dict[str, float]) -> ArmParameters:
 
 
 def arm_text(arm: ArmParameters) -> str:
-    """An arm file of it."""
+    """Return an arm file with these parameters."""
     lines: list[str] = []
 
     def write(table: dict[str, Any], path: tuple[str, ...]) -> None:
@@ -53,11 +54,11 @@ def _limits(table: type[msgspec.Struct]) -> dict[str, tuple[float, float]]:
 
 
 LIMITS = _limits(ArmParameters)
-"""Least and most of every number of an arm file, by its dotted key."""
+"""Lower and upper limit of every number of an arm file, by dotted key."""
 
 
 def text_with(dotted: str, value: str) -> str:
-    """The shipped file's text with one value replaced by its dotted key."""
+    """Return the text of the shipped file with one value changed, by dotted key."""
     *path, key = dotted.split(".")
     lines, here = [], ""
     replaced = 0

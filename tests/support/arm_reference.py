@@ -1,8 +1,8 @@
-"""A second opinion on the arm's dynamics: the same physics as a right-hand side in plain Python, for scipy.
+"""Reference solution of the arm's dynamics: the same physics as a right-hand side in plain Python, for scipy.
 
-Written from the equations, not from ``dynamics.c``, and read from the arm file's parameters. The state of an
-axis is spool, spool rate, position, velocity, bristle, pressures 1 and 2, air masses 1 and 2; the supply's
-pressure ends it.
+It was written from the equations and not from ``dynamics.c``. The state of an axis is spool, spool rate,
+position, velocity, bristle, pressures 1 and 2, air masses 1 and 2. The supply's pressure is the last number
+of the state.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ SCALES = np.array(3 * [0.01, 10.0, 1e-3, 1e-2, 1e-5, 1e3, 1e3, 1e-6, 1e-6] + [1e
 
 
 class Drive(NamedTuple):
-    """What stays the same for a while: spool commands (-1 to 1) and conditions."""
+    """Constant inputs of an interval: spool commands (-1 to 1) and conditions."""
 
     spools: tuple[float, float, float]
     payload_kg: float = 0.0
     regulator_pa: float = 550e3
     air_k: float = 293.15
     leak: tuple[int, int, float] = (0, 0, 0.0)
-    """Axis and chamber, both from 0, and conductance."""
+    """Axis and chamber, both counted from 0, and conductance."""
 
 
 def mass_flow(conductance: float, b: float, up: float, up_k: float, down: float, down_k: float) -> float:
-    """ISO 6358, linear over a pressure ratio of 0.99; kg/s, negative when it runs back."""
+    """Return the mass flow of ISO 6358 in kg/s, linear above a pressure ratio of 0.99; negative backwards."""
     if up < down:
         return -mass_flow(conductance, b, down, down_k, up, up_k)
     ratio = down / up
@@ -53,7 +53,7 @@ def opening(axis: ArmAxis, spool: float) -> float:
 
 def derivative(arm: ArmParameters, drive: Drive, y: Sequence[float]) -> list[float]:
     body, supply = arm.body, arm.supply
-    atmosphere, hall = 1e3 * supply.atmosphere_kpa, drive.air_k
+    atmosphere, ambient_k = 1e3 * supply.atmosphere_kpa, drive.air_k
     rows = [list(y[9 * a : 9 * a + 9]) for a in range(3)]
     ps = y[27]
     m1, m2, mp = body.vertical_kg, body.horizontal_kg, drive.payload_kg
@@ -81,11 +81,11 @@ def derivative(arm: ArmParameters, drive: Drive, y: Sequence[float]) -> list[flo
         for chamber, (p, air, sign) in enumerate(((p1, air1, 1.0), (p2, air2, -1.0))):
             V = axis.cylinder.dead_volume_m3 + area * (half + sign * x)
             T = p * V / (air * R)
-            inward = mass_flow(opening(axis, sign * spool), axis.valve.critical_ratio, ps, hall, p, T)
+            inward = mass_flow(opening(axis, sign * spool), axis.valve.critical_ratio, ps, ambient_k, p, T)
             outlet = opening(axis, -sign * spool) + (drive.leak[2] if drive.leak[:2] == (a, chamber) else 0.0)
-            outward = mass_flow(outlet, axis.valve.critical_ratio, p, T, atmosphere, hall)
-            enthalpy = inward * (hall if inward > 0 else T) - outward * (T if outward > 0 else hall)
-            heat = axis.cylinder.heat_w_k * (hall - T)
+            outward = mass_flow(outlet, axis.valve.critical_ratio, p, T, atmosphere, ambient_k)
+            enthalpy = inward * (ambient_k if inward > 0 else T) - outward * (T if outward > 0 else ambient_k)
+            heat = axis.cylinder.heat_w_k * (ambient_k - T)
             p_dots.append((GAMMA * (R * enthalpy - p * sign * area * v) + (GAMMA - 1.0) * heat) / V)
             air_dots.append(inward - outward)
             drawn += inward
@@ -104,11 +104,11 @@ def derivative(arm: ArmParameters, drive: Drive, y: Sequence[float]) -> list[flo
         out += [spool_rate, spool_acceleration, v, acceleration, z_dot, *p_dots, *air_dots]
     supplied = 1e-3 / supply.droop_kpa_s_kg * (drive.regulator_pa - ps)
     supplied = min(max(supplied, -supply.max_relief_kg_s), supply.max_flow_kg_s)
-    return [*out, R * hall / supply.volume_m3 * (supplied - drawn)]
+    return [*out, R * ambient_k / supply.volume_m3 * (supplied - drawn)]
 
 
 def state_of(arm: Arm) -> NDArray[np.float64]:
-    """The arm's state in this module's order."""
+    """Return the arm's state in the order of this module."""
     return np.frombuffer(arm.state, dtype=np.float64)[:28].copy()
 
 
@@ -120,7 +120,7 @@ def solve(
     method: str = "LSODA",
     tolerance: float = 1e-8,
 ) -> NDArray[np.float64]:
-    """States (n, 28) every ``sample_s`` through drives of (seconds, drive), whole numbers of samples long."""
+    """Return states (n, 28) every ``sample_s``. ``drives`` are (seconds, drive) of whole samples."""
     states, y = [], start
     for seconds, drive in drives:
         samples = round(seconds / sample_s)

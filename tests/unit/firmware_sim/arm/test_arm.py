@@ -1,6 +1,5 @@
-"""The arm as a plant: what its pins read, how it starts, and how it fails."""
+"""The arm as a plant: its start, its readings, its stops, and its errors."""
 
-import ctypes
 import math
 import statistics
 import subprocess
@@ -9,18 +8,15 @@ from pathlib import Path
 
 import pytest
 from support.arm_files import arm_with
+from support.shipped_rig import CENTRED, PERIOD_NS
 
-from firmware_sim.arm import native
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.parameters import shipped_arm
+from firmware_sim.arm.arm_file import shipped_arm
 from firmware_sim.plants.plant import Plant
-from hil.core.errors import EnvironmentLackError, SimulationError
-
-CENTRED = (5.0, 5.0, 5.0)
-PERIOD_NS = 11_200_000
+from hil.core.errors import SimulationError
 
 
-def test_it_is_a_plant_that_starts_at_rest() -> None:
+def test_the_arm_is_a_plant_that_starts_at_rest() -> None:
     arm: Plant = Arm(shipped_arm(), seed=1)
     assert isinstance(arm, Arm)
     before = arm.view()
@@ -31,7 +27,7 @@ def test_it_is_a_plant_that_starts_at_rest() -> None:
         assert abs(other.velocity) < 1e-3
 
 
-def test_positive_voltages_move_every_axis_up_its_potentiometer() -> None:
+def test_positive_offsets_increase_every_potentiometer_voltage() -> None:
     arm = Arm(shipped_arm(), seed=1)
     before = list(arm.potentiometer_v())
     arm.advance(300_000_000, (5.5, 5.5, 5.5))
@@ -39,7 +35,7 @@ def test_positive_voltages_move_every_axis_up_its_potentiometer() -> None:
     assert all(late > early + 0.3 for early, late in zip(before, after, strict=True))
 
 
-def test_full_voltage_drives_every_axis_into_its_stops_and_no_further() -> None:
+def test_full_voltage_moves_every_axis_to_its_stop_and_not_through_it() -> None:
     for volts, side in ((10.0, 1.0), (0.0, -1.0)):
         arm = Arm(shipped_arm(), seed=1)
         arm.advance(3_000_000_000, (volts,) * 3)
@@ -52,7 +48,7 @@ def test_full_voltage_drives_every_axis_into_its_stops_and_no_further() -> None:
         assert all(0.1 < reading < 9.9 for reading in arm.potentiometer_v())
 
 
-def test_a_spool_ends_at_full_travel_however_little_it_is_damped() -> None:
+def test_a_spool_with_little_damping_stays_within_its_travel() -> None:
     arm = Arm(arm_with({"axes.*.valve.spool_damping": 0.05}), seed=1)
     for volts in (0.0, 10.0) * 3:
         for _ in range(20):
@@ -61,7 +57,7 @@ def test_a_spool_ends_at_full_travel_however_little_it_is_damped() -> None:
 
 
 @pytest.mark.parametrize("volume_m3", [1e-5, 2e-3])
-def test_a_stiff_regulator_holds_its_pressure_whatever_it_feeds(volume_m3: float) -> None:
+def test_a_stiff_regulator_holds_its_pressure_under_any_load(volume_m3: float) -> None:
     stiff = {"supply.volume_m3": volume_m3, "supply.droop_kpa_s_kg": 1.0, "supply.max_flow_kg_s": 10.0}
     arm = Arm(arm_with(stiff | {"supply.max_relief_kg_s": 10.0}), seed=1)
     for volts in ((10.0, 10.0, 10.0), (0.0, 0.0, 0.0), (5.0, 5.0, 5.0)):
@@ -70,7 +66,7 @@ def test_a_stiff_regulator_holds_its_pressure_whatever_it_feeds(volume_m3: float
             assert arm.view().supply_pa == pytest.approx(550e3, abs=100.0)
 
 
-def test_readings_have_the_files_noise_and_line() -> None:
+def test_readings_have_the_noise_and_the_scale_of_the_arm_file() -> None:
     noise_v = 0.004
     noisy = Arm(
         arm_with({"axes.*.potentiometer.noise_v": noise_v, "axes.*.potentiometer.nonlinearity": 0.0}), seed=1
@@ -86,7 +82,7 @@ def test_readings_have_the_files_noise_and_line() -> None:
     )
 
 
-def test_a_reading_is_taken_once_an_instant() -> None:
+def test_a_reading_is_drawn_once_an_instant() -> None:
     arm = Arm(shipped_arm(), seed=1)
     first = list(arm.potentiometer_v())
     assert list(arm.potentiometer_v()) == first
@@ -94,7 +90,7 @@ def test_a_reading_is_taken_once_an_instant() -> None:
     assert list(arm.potentiometer_v()) != first
 
 
-def test_nonlinearity_bends_the_line_by_its_share_of_the_span() -> None:
+def test_nonlinearity_is_the_largest_deviation_as_a_fraction_of_the_span() -> None:
     straight = arm_with({"axes.*.potentiometer.noise_v": 0.0, "axes.*.potentiometer.nonlinearity": 0.0})
     bent = arm_with({"axes.*.potentiometer.noise_v": 0.0, "axes.*.potentiometer.nonlinearity": 0.001})
     worst = 0.0
@@ -112,8 +108,8 @@ def test_nonlinearity_bends_the_line_by_its_share_of_the_span() -> None:
 
 
 @pytest.mark.parametrize("volts", [math.nan, math.inf, -math.inf])
-def test_what_is_no_voltage_is_refused(volts: float) -> None:
-    with pytest.raises(SimulationError, match="no voltage"):
+def test_a_voltage_that_is_not_finite_is_rejected(volts: float) -> None:
+    with pytest.raises(SimulationError, match=r"valve voltage (nan|-?inf) V is not a finite number"):
         Arm(shipped_arm(), seed=1).advance(PERIOD_NS, (5.0, volts, 5.0))
 
 
@@ -125,7 +121,7 @@ def test_what_is_no_voltage_is_refused(volts: float) -> None:
         ("spool", "horizontal"),
     ],
 )
-def test_a_state_that_cannot_be_is_an_error_and_stays_one(spoil: str, complaint: str) -> None:
+def test_an_impossible_state_raises_on_every_advance(spoil: str, complaint: str) -> None:
     arm = Arm(shipped_arm(), seed=1)
     setattr(arm.state.axis[1], spoil, 1e6)
     for _ in range(2):
@@ -137,52 +133,25 @@ def test_a_state_that_cannot_be_is_an_error_and_stays_one(spoil: str, complaint:
 
 
 @pytest.mark.parametrize("field", ["position_m", "velocity_m_s", "bristle_m", "spool", "spool_rate_1_s"])
-def test_nan_never_reaches_a_pin(field: str) -> None:
+def test_a_nan_in_the_state_raises(field: str) -> None:
     arm = Arm(shipped_arm(), seed=1)
     setattr(arm.state.axis[2], field, math.nan)
     with pytest.raises(SimulationError, match="rotation"):
         arm.advance(PERIOD_NS, CENTRED)
 
 
-def test_supply_that_cannot_be_is_an_error() -> None:
+def test_an_impossible_supply_pressure_raises() -> None:
     arm = Arm(shipped_arm(), seed=1)
     arm.state.supply_pa = -1.0
     with pytest.raises(SimulationError, match=r"supply pressure -1 Pa"):
         arm.advance(PERIOD_NS, CENTRED)
 
 
-def test_every_field_of_the_compiled_parameters_is_filled() -> None:
-    changes = {"axes.*.valve.overlap": 0.01, "axes.*.spring.centre_n": 1.0}
-    packed = native.pack(arm_with(changes))
-    for axis in packed.axis:
-        assert all(getattr(axis, name) != 0.0 for name, _ in native.AxisParameters._fields_)
-    assert all(getattr(packed, name) != 0.0 for name, _ in native.Parameters._fields_[1:])
-
-
-def test_a_library_of_other_sources_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Longer(ctypes.Structure):
-        _fields_ = (*native.State._fields_, ("more", ctypes.c_double))
-
-    monkeypatch.setattr(native, "State", Longer)
-    with pytest.raises(
-        EnvironmentLackError, match=r"another version of dynamics\.c; install again: .*pip install -e"
-    ):
-        native.Dynamics()
-
-
-def test_a_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native, "EXTENSION_SUFFIXES", [".of-no-python"])
-    with pytest.raises(
-        EnvironmentLackError, match=r"not compiled.*apt-get install gcc libc6-dev, then pip install"
-    ):
-        native.Dynamics()
-
-
 def test_the_arm_starts_without_the_heavy_libraries() -> None:
     program = (
         "import sys\n"
         "from firmware_sim.arm.arm import Arm\n"
-        "from firmware_sim.arm.parameters import shipped_arm\n"
+        "from firmware_sim.arm.arm_file import shipped_arm\n"
         "Arm(shipped_arm(), seed=1)\n"
         "print(*{name.split('.')[0] for name in sys.modules})"
     )

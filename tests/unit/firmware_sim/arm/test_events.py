@@ -1,13 +1,14 @@
-"""Changes during a run: read from a scenario's events, and felt by the arm at their time."""
+"""Events: how a scenario file lists them, and what each one does to the arm."""
 
 import pytest
 from support.arm_files import arm_with
+from support.shipped_rig import CENTRED
 
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.conditions import (
-    AnyChange,
+from firmware_sim.arm.events import (
+    AnyEvent,
     BrokenWire,
-    FrictionChange,
+    FrictionFactor,
     Leak,
     Payload,
     StuckSpool,
@@ -17,10 +18,9 @@ from firmware_sim.arm.conditions import (
 from firmware_sim.scenario import read_scenario
 from hil.core.errors import DocumentError
 
-CENTRED = (5.0, 5.0, 5.0)
 SECOND_NS = 1_000_000_000
 EVENTS = """
-title = "all that can change"
+title = "every kind of event"
 duration_s = 10.0
 [[events]]
 at_s = 2.0
@@ -63,8 +63,8 @@ broken = false
 """
 
 
-def arm(*changes: AnyChange) -> Arm:
-    return Arm(arm_with({}), seed=1, changes=changes)
+def arm(*events: AnyEvent) -> Arm:
+    return Arm(arm_with({}), seed=1, events=events)
 
 
 def test_events_are_read() -> None:
@@ -72,7 +72,7 @@ def test_events_are_read() -> None:
         Payload(at_s=2.0, mass_kg=3.0),
         SupplyPressure(at_s=3.0, gauge_kpa=400.0),
         Temperature(at_s=4.0, celsius=35.0),
-        FrictionChange(at_s=5.0, axis="rotation", factor=1.5),
+        FrictionFactor(at_s=5.0, axis="rotation", factor=1.5),
         Leak(at_s=6.0, axis="horizontal", chamber=2, conductance_m3_s_pa=1e-9),
         StuckSpool(at_s=7.0, axis="vertical", stuck=True),
         BrokenWire(at_s=8.0, axis="vertical", broken=False),
@@ -99,7 +99,7 @@ def test_events_are_read() -> None:
         ("broken = false", "brocken = false", "brocken"),
     ],
 )
-def test_an_impossible_event_is_refused_by_its_place(good: str, bad: str, place: str) -> None:
+def test_an_invalid_event_is_rejected_by_its_key(good: str, bad: str, place: str) -> None:
     assert EVENTS.count(good) >= 1
     with pytest.raises(DocumentError) as caught:
         read_scenario(EVENTS.replace(good, bad, 1), "scenario.toml")
@@ -108,7 +108,7 @@ def test_an_impossible_event_is_refused_by_its_place(good: str, bad: str, place:
     assert str(caught.value).count("'vertical'") <= 1
 
 
-def test_changes_happen_at_their_time_in_any_order_within_a_call() -> None:
+def test_events_happen_at_their_time_in_any_order_of_listing() -> None:
     subject = arm(
         BrokenWire(at_s=0.030, axis="vertical", broken=False),
         BrokenWire(at_s=0.010, axis="vertical"),
@@ -127,7 +127,7 @@ def test_changes_happen_at_their_time_in_any_order_within_a_call() -> None:
     assert subject.potentiometer_v()[0] > 1.0
 
 
-def test_a_change_of_the_past_happens_next() -> None:
+def test_an_event_in_the_past_happens_at_once() -> None:
     subject = arm()
     subject.advance(SECOND_NS, CENTRED)
     subject.schedule(Payload(at_s=0.5, mass_kg=1.0))
@@ -135,7 +135,7 @@ def test_a_change_of_the_past_happens_next() -> None:
     assert subject.view().payload_kg == 1.0
 
 
-def test_payload_pulls_the_arm_down_by_its_weight_over_the_spring() -> None:
+def test_a_payload_pulls_the_arm_down_by_its_weight_over_the_spring_rate() -> None:
     subject = arm(Payload(at_s=0.0, mass_kg=3.0), Payload(at_s=20.0, mass_kg=0.0))
     before = subject.view().axes[0].position
     subject.advance(20 * SECOND_NS, CENTRED)
@@ -147,7 +147,7 @@ def test_payload_pulls_the_arm_down_by_its_weight_over_the_spring() -> None:
     assert subject.view().axes[0].position > before - 0.03
 
 
-def test_payload_is_taken_up_at_rest_and_dropped_with_its_speed() -> None:
+def test_a_payload_is_picked_up_at_rest_and_dropped_with_its_speed() -> None:
     subject = arm()
     body = subject.parameters.body
     for axis in subject.state.axis:
@@ -164,7 +164,7 @@ def test_payload_is_taken_up_at_rest_and_dropped_with_its_speed() -> None:
     assert [axis.velocity_m_s for axis in subject.state.axis] == [vertical, horizontal, rotation]
 
 
-def test_supply_sinks_to_the_regulators_new_pressure_and_stays_under_it_by_its_droop() -> None:
+def test_the_supply_falls_to_the_regulators_new_setting_minus_its_droop() -> None:
     subject = arm(SupplyPressure(at_s=1.0, gauge_kpa=400.0))
     subject.advance(SECOND_NS, CENTRED)
     assert 530e3 < subject.view().supply_pa < 545e3
@@ -177,9 +177,9 @@ def test_supply_sinks_to_the_regulators_new_pressure_and_stays_under_it_by_its_d
     assert droop_pa > 1e3
 
 
-def test_friction_factor_holds_the_arm_back() -> None:
+def test_a_friction_factor_slows_the_axis() -> None:
     def travel(factor: float) -> float:
-        subject = arm(FrictionChange(at_s=0.0, axis="rotation", factor=factor))
+        subject = arm(FrictionFactor(at_s=0.0, axis="rotation", factor=factor))
         subject.advance(SECOND_NS // 2, (5.0, 5.0, 5.3))
         return subject.view().axes[2].position
 
@@ -187,7 +187,7 @@ def test_friction_factor_holds_the_arm_back() -> None:
     assert travel(1.0) > 0.1
 
 
-def test_leak_lets_a_chamber_and_the_axis_go() -> None:
+def test_a_leak_empties_a_chamber_and_moves_the_axis() -> None:
     subject = arm(Leak(at_s=0.0, axis="horizontal", chamber=2, conductance_m3_s_pa=1e-9))
     before = subject.view()
     subject.advance(SECOND_NS, CENTRED)
@@ -197,7 +197,7 @@ def test_leak_lets_a_chamber_and_the_axis_go() -> None:
     assert after.axes[0].position == pytest.approx(before.axes[0].position, abs=1e-3)
 
 
-def test_stuck_spool_stands_whatever_is_commanded_and_follows_when_loose() -> None:
+def test_a_stuck_spool_ignores_commands_until_it_is_loose() -> None:
     subject = arm(StuckSpool(at_s=0.5, axis="vertical"), StuckSpool(at_s=1.0, axis="vertical", stuck=False))
     subject.advance(SECOND_NS // 2, (5.5, 5.5, 5.0))
     subject.advance(SECOND_NS // 2, (4.0, 4.0, 5.0))
@@ -208,7 +208,7 @@ def test_stuck_spool_stands_whatever_is_commanded_and_follows_when_loose() -> No
     assert subject.view().axes[0].spool == pytest.approx(-0.201, abs=1e-3)
 
 
-def test_broken_wire_reads_0_v_and_mends() -> None:
+def test_a_broken_wire_reads_0_v_until_it_is_repaired() -> None:
     subject = arm(BrokenWire(at_s=0.0, axis="rotation"))
     subject.advance(1, CENTRED)
     assert subject.potentiometer_v()[2] == 0.0

@@ -1,4 +1,4 @@
-"""The compiled dynamics against a second opinion: scipy on the equations in plain Python, and eq. (2)."""
+"""The compiled dynamics against the reference solution, and their reproducibility."""
 
 import ctypes
 import math
@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.arm_files import FRICTIONLESS, arm_with
+from support.arm_files import arm_with
 from support.arm_reference import Drive, solve, state_of
 
 from firmware_sim.arm import native
 from firmware_sim.arm.arm import Arm
-from firmware_sim.arm.conditions import Leak, Payload, SupplyPressure
-from firmware_sim.arm.linearisation import linearise
+from firmware_sim.arm.events import Leak, Payload, SupplyPressure
 from firmware_sim.arm.parameters import AXES, ArmParameters
 
 SAMPLE_S = 0.01
@@ -37,14 +36,14 @@ EVERY_TERM = {
 
 
 def commands_v(arm: ArmParameters, spools: tuple[float, float, float]) -> list[float]:
-    """Voltages that send the spools there when each last moved the other way, without play."""
+    """Return the voltages that command these spool positions, without play."""
     return [axis.valve.centre_v + 5.0 * spool for axis, spool in zip(arm.ordered, spools, strict=True)]
 
 
 def positions_and_pressures(
     parameters: ArmParameters, drives: list[tuple[float, Drive]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What the arm does, and what the reference says: states (n, 28) every 10 ms."""
+    """Return the states of the arm and of the reference solution: (n, 28) each, every 10 ms."""
     arm = Arm(parameters, seed=1)
     start = state_of(arm)
     states = []
@@ -76,7 +75,7 @@ DIRECT = {"axes.*.cylinder.tube_m": 0.0, "axes.*.valve.hysteresis_v": 0.0}
     [({}, MOVES, 0.02), (EVERY_TERM, MOVES, 0.03), ({}, INTO_THE_STOPS, 0.05)],
     ids=["shipped arm", "every term", "end stops"],
 )
-def test_positions_agree_with_a_tight_reference(
+def test_positions_agree_with_the_reference_solution(
     changes: dict[str, float], drives: list[tuple[float, Drive]], tolerance_mm: float
 ) -> None:
     arm, reference = positions_and_pressures(arm_with(DIRECT | changes), drives)
@@ -85,7 +84,7 @@ def test_positions_agree_with_a_tight_reference(
     assert np.abs(arm - reference)[:, PRESSURE].max() < 3e3
 
 
-def test_payload_changes_the_bodies_as_in_the_reference() -> None:
+def test_a_payload_acts_as_in_the_reference_solution() -> None:
     parameters = arm_with(DIRECT)
     drives = [(1.0, Drive((0.12, 0.1, 0.1), payload_kg=3.0))]
     arm, reference = positions_and_pressures(parameters, drives)
@@ -96,10 +95,10 @@ def test_payload_changes_the_bodies_as_in_the_reference() -> None:
 
 @pytest.mark.parametrize("conductance", [1e-7, 1e-6])
 @pytest.mark.parametrize(("axis", "chamber"), [(0, 1), (1, 0), (1, 1), (2, 0)])
-def test_a_chamber_that_empties_within_a_step_agrees_with_the_reference(
+def test_a_chamber_that_empties_within_a_step_agrees_with_the_reference_solution(
     axis: int, chamber: int, conductance: float
 ) -> None:
-    """The largest leak empties the horizontal's chambers with a time constant under half a step's."""
+    """With the largest leak the horizontal's chambers have a time constant below half a step."""
     leak = (axis, chamber, conductance)
     drives = [(0.1, Drive((0.05, 0.05, 0.05), leak=leak)), (0.3, Drive((-0.5, -0.5, 0.5), leak=leak))]
     arm, reference = positions_and_pressures(arm_with(DIRECT), drives)
@@ -109,7 +108,7 @@ def test_a_chamber_that_empties_within_a_step_agrees_with_the_reference(
     assert np.abs(arm - reference)[:, PRESSURE].max() < 6e3
 
 
-def test_error_falls_with_the_step() -> None:
+def test_the_error_decreases_with_the_step() -> None:
     errors = []
     for step_s in (1e-3, 5e-4, 2.5e-4, 1.25e-4):
         parameters = arm_with(DIRECT | {"step_s": step_s})
@@ -119,8 +118,8 @@ def test_error_falls_with_the_step() -> None:
     assert errors[-1] < 0.01e-3
 
 
-def test_tube_and_play_delay_and_hold_back_the_spool() -> None:
-    """A spool command comes a tube's length later, short of the play; seen against the reference's spool."""
+def test_tube_and_play_delay_the_spool_and_reduce_its_travel() -> None:
+    """A command reaches the spool after the tube's delay, reduced by the play."""
     parameters = arm_with({})
     arm = Arm(parameters, seed=1)
     valve = parameters.axes.vertical.valve
@@ -134,7 +133,7 @@ def test_tube_and_play_delay_and_hold_back_the_spool() -> None:
     assert arm.state.axis[0].spool == pytest.approx((0.9 + valve.hysteresis_v) / 5.0, abs=1e-9)
 
 
-def test_cutting_a_period_into_pieces_changes_nothing_that_matters() -> None:
+def test_dividing_a_period_into_pieces_changes_positions_little() -> None:
     whole, cut = Arm(arm_with({}), seed=1), Arm(arm_with({}), seed=1)
     pieces_ns = (1, 700_000, 4_300_123, 6_199_876)
     assert sum(pieces_ns) == 11_200_000
@@ -148,66 +147,9 @@ def test_cutting_a_period_into_pieces_changes_nothing_that_matters() -> None:
         assert one.position == pytest.approx(other.position, abs=0.03e-3)
 
 
-@pytest.mark.parametrize("axis", range(3), ids=AXES)
-def test_equation_2_is_the_linearisation_of_the_arm_that_it_describes(axis: int) -> None:
-    """No leak, no spring, no heat: the compiled dynamics, differentiated numerically, respond as eq. (2)."""
-    ideal = {"axes.*.valve.clearance": 1e-3, "axes.*.spring.rate_n_m": 0.0, "axes.*.cylinder.heat_w_k": 0.0}
-    linear = linearise(_smooth(ideal), axis)
-    for w in (0.3, 1.0, 3.0, 10.0, 30.0):
-        assert _response(_smooth(ideal), axis, w) == pytest.approx(linear.equation_2(1j * w), rel=0.01)
-
-
-@pytest.mark.parametrize("axis", range(3), ids=AXES)
-def test_leak_and_spring_make_the_slow_pole(axis: int) -> None:
-    """The calibrated arm, walls and all, is eq. (2) with the two terms that it leaves out, within 15 %."""
-    linear = linearise(_smooth({}), axis)
-    for w in (0.05, 0.3, 1.0, 5.0):
-        assert _response(_smooth({}), axis, w) == pytest.approx(linear.with_leak_and_spring(1j * w), rel=0.15)
-        assert abs(_response(_smooth({}), axis, w)) < 0.75 * abs(linear.equation_2(1j * w))
-
-
-def _smooth(changes: dict[str, float]) -> ArmParameters:
-    """Without what has no derivative: dry friction."""
-    viscous = {key: value for key, value in FRICTIONLESS.items() if "viscous" not in key}
-    return arm_with(viscous | {"axes.vertical.spring.centre_n": 10.0 * 9.80665} | changes)
-
-
-def _response(parameters: ArmParameters, axis: int, w: float) -> complex:
-    """From volts on the valve to the axis' position at ``w`` rad/s, by central differences of short steps."""
-    arm = Arm(parameters, seed=1)
-    for number, (part, state) in enumerate(zip(parameters.ordered, arm.state.axis, strict=True)):
-        pressure_pa = linearise(parameters, number).pressure_pa
-        state.position_m = state.velocity_m_s = state.spool = state.spool_rate_1_s = 0.0
-        volume_m3 = part.cylinder.dead_volume_m3 + 0.5 * part.cylinder.area_m2 * part.cylinder.stroke_m
-        for chamber in range(2):
-            state.pressure_pa[chamber] = pressure_pa
-            state.air_kg[chamber] = pressure_pa * volume_m3 / (287.05 * 293.15)
-        arm.conditions.axis[number].spool_free = 0.0
-    arm.state.supply_pa = arm.conditions.regulator_pa
-    rest = np.frombuffer(bytes(arm.state))
-    packed, dynamics, dt = native.pack(parameters), native.Dynamics(), 1e-6
-    names = [9 * axis + k for k in (2, 3, 5, 6, 7, 8)]
-    nudges = (1e-5, 1e-4, 10.0, 10.0, 1e-8, 1e-8)
-
-    def rates(index: int, nudge: float) -> NDArray[np.float64]:
-        moved = rest.copy()
-        moved[index] += nudge
-        state = native.State.from_buffer_copy(moved.tobytes())
-        arguments = (ctypes.byref(part) for part in (packed, arm.conditions, state))
-        assert dynamics.advance(*arguments, dt, 1) == 0
-        return np.asarray((np.frombuffer(bytes(state)) - moved)[names] / dt)
-
-    def slope(index: int, nudge: float) -> NDArray[np.float64]:
-        return (rates(index, nudge) - rates(index, -nudge)) / (2.0 * nudge)
-
-    A = np.column_stack([slope(index, nudge) for index, nudge in zip(names, nudges, strict=True)])
-    b = slope(9 * axis, 1e-4) / 5.0
-    return complex(np.linalg.solve(1j * w * np.eye(6) - A, b)[0]) * parameters.travel[axis]
-
-
 def run_bytes(library: ctypes.CDLL | None = None, *, seed: int = 1) -> bytes:
-    """Readings and final state of a run with everything in it."""
-    arm = Arm(arm_with({}), seed=seed, changes=[Payload(at_s=0.5, mass_kg=3.0)])
+    """Return readings and final state of a run with moving valves and an event, as bytes."""
+    arm = Arm(arm_with({}), seed=seed, events=[Payload(at_s=0.5, mass_kg=3.0)])
     if library is not None:
         library.arm_advance.argtypes = arm._dynamics.advance.argtypes
         arm._dynamics.advance = library.arm_advance
@@ -223,7 +165,7 @@ def test_the_same_run_gives_the_same_bytes() -> None:
     assert run_bytes() != run_bytes(seed=2)
 
 
-def test_optimisation_does_not_change_a_byte(tmp_path: Path) -> None:
+def test_compiler_optimisation_changes_no_byte(tmp_path: Path) -> None:
     source = Path(native.__file__).with_name("dynamics.c")
     library = tmp_path / "plain.so"
     flags = ("-std=c11", "-O0", "-ffp-contract=off", "-shared", "-fPIC")
