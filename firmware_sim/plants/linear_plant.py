@@ -1,101 +1,92 @@
-"""The paper's identified model, eq. (15), for each axis, exact while the valves hold their voltages.
+"""A plant with an independent linear model for each axis: eq. (15) of the paper, or identified models.
 
-G0(s) = 0.47947 (s + 90.76) / ((s + 0.4231) (s^2 + 16.97 s + 167.9)), in m (rad for a rotation) per volt of
-offset from the valve's centre. It is kept as the sum of its modes, r/(s - p), each of which has a closed
-form under a zero-order hold of any length: x(t) = e^(pt) x(0) + (e^(pt) - 1)/p u. No stops: the position
-may leave the potentiometer's range, the voltage may not.
+A model relates deviations. Its input is the valve's offset from ``centre_v`` in volts. Its output is the
+displacement of the axis, in the axis' unit, from the middle of its potentiometer's range, where the plant
+starts at rest. The response is exact while the valves hold their voltages, dead time included.
+
+A linear model has no end stops. The position may leave the potentiometer's range; the potentiometer's voltage
+does not: it stays between 0 and 10 V. An integrating or unstable model therefore comes back only when its
+input brings it back.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import Final, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Final
 
-from hil.core.rig import Rig
+from firmware_sim.plants.held_response import response_of
+from firmware_sim.plants.linear_model import EQUATION_15, LinearModel
+from hil.core.errors import SimulationError
+from hil.core.rig import AxisSettings, Rig
 
-GAIN: Final = 0.47947
-ZERO: Final = 90.76
-SLOW_POLE: Final = 0.4231
-DAMPING_TERM: Final = 16.97
-STIFFNESS_TERM: Final = 167.9
-
-_SLOW = -SLOW_POLE
-_FAST = complex(-DAMPING_TERM / 2, math.sqrt(STIFFNESS_TERM - DAMPING_TERM**2 / 4))
-_SLOW_RESIDUE = GAIN * (_SLOW + ZERO) / abs(_SLOW - _FAST) ** 2
-_FAST_RESIDUE = GAIN * (_FAST + ZERO) / ((_FAST - _SLOW) * complex(0.0, 2 * _FAST.imag))
-_FAST_REAL, _FAST_IMAGINARY = 2 * _FAST_RESIDUE.real, 2 * _FAST_RESIDUE.imag
-
-
-class _Hold(NamedTuple):
-    """What a hold of one length does to the modes: x = decay x + drive u."""
-
-    slow_decay: float
-    slow_drive: float
-    fast_decay: complex
-    fast_drive: complex
-
-
-def _hold(duration_s: float) -> _Hold:
-    slow = math.expm1(_SLOW * duration_s)
-    fast = _expm1(_FAST * duration_s)
-    return _Hold(1.0 + slow, slow / _SLOW, 1.0 + fast, fast / _FAST)
-
-
-def _expm1(z: complex) -> complex:
-    """e^z - 1 without cancellation at a small z."""
-    growth = math.expm1(z.real)
-    half_turn = math.sin(z.imag / 2)
-    return complex(growth * math.cos(z.imag) - 2 * half_turn * half_turn, (1.0 + growth) * math.sin(z.imag))
-
-
-class _Modes:
-    """One axis from rest at ``position`` 0: volts of offset in, position in the axis' unit out."""
-
-    __slots__ = ("_fast", "_slow", "position")
-
-    def __init__(self) -> None:
-        self._slow = 0.0
-        self._fast = 0j
-        self.position = 0.0
-
-    def advance(self, hold: _Hold, offset_v: float) -> None:
-        """Hold ``offset_v`` volts from the valve's centre for the hold's length."""
-        slow_decay, slow_drive, fast_decay, fast_drive = hold
-        self._slow = slow = slow_decay * self._slow + slow_drive * offset_v
-        self._fast = fast = fast_decay * self._fast + fast_drive * offset_v
-        self.position = _SLOW_RESIDUE * slow + _FAST_REAL * fast.real - _FAST_IMAGINARY * fast.imag
+MAX_DISPLACEMENT: Final = 1e6
+"""Limit of a displacement, in the axis' unit. A position beyond it has diverged."""
 
 
 class LinearPlant:
-    """Eq. (15) for every axis of ``rig``, uncoupled, from rest at position 0."""
+    """Axes of a rig with a linear model each; a ``firmware_sim.plants.plant.Plant``.
 
-    def __init__(self, rig: Rig) -> None:
-        self._axes = {name: _Modes() for name in rig.axes}
-        self._valves = [
-            (plant, axis.valve.channel - 1, axis.valve.centre_v)
-            for plant, axis in zip(self._axes.values(), rig.axes.values(), strict=True)
-        ]
-        self._potentiometers = [
-            (plant, axis.potentiometer.channel - 1, axis.potentiometer.volts)
-            for plant, axis in zip(self._axes.values(), rig.axes.values(), strict=True)
-        ]
-        self._period_ns = rig.loop.period_ns
-        self._period_hold = _hold(self._period_ns * 1e-9)
+    ``models`` maps an axis to its model. Other axes of the rig are not simulated, and their channels read 0
+    V. Without ``models`` every axis of the rig has eq. (15), in m or rad per volt.
+
+    Raises ValueError for a model that cannot be simulated.
+    """
+
+    def __init__(self, rig: Rig, models: Mapping[str, LinearModel] | None = None) -> None:
+        models = dict.fromkeys(rig.axes, EQUATION_15) if models is None else models
+        self._axes = {
+            name: _Axis(name, rig.axes[name], model, rig.loop.period_ns) for name, model in models.items()
+        }
 
     def position(self, axis: str) -> float:
-        """Where the axis is, in its unit; not clipped to the potentiometer's range."""
-        return self._axes[axis].position
+        """Return the position of an axis in its unit. It is not limited to the potentiometer's range."""
+        return self._axes[axis].middle + self._axes[axis].response.output
 
     def advance(self, duration_ns: int, valve_v: Sequence[float]) -> None:
-        """Hold the valve voltages (V, by channel) for ``duration_ns``."""
-        hold = self._period_hold if duration_ns == self._period_ns else _hold(duration_ns * 1e-9)
-        for plant, channel, centre_v in self._valves:
-            plant.advance(hold, valve_v[channel] - centre_v)
+        """Hold the valve voltages (V, by channel) for ``duration_ns``.
+
+        Raises SimulationError if an axis diverges.
+        """
+        for axis in self._axes.values():
+            response = axis.response
+            response.advance(duration_ns, valve_v[axis.valve_channel] - axis.valve_centre_v)
+            if not -MAX_DISPLACEMENT < response.output < MAX_DISPLACEMENT:
+                raise SimulationError(
+                    f"the linear model of axis {axis.name} diverged: displacement {response.output:.3g} "
+                    f"{axis.unit}, limit {MAX_DISPLACEMENT:g} {axis.unit}. A linear model has no end stops: "
+                    "the model or the control loop is unstable"
+                )
 
     def potentiometer_v(self) -> Sequence[float]:
-        """Potentiometer voltages (V, by channel), 0 to 10 V."""
+        """Return the potentiometers' voltages now (V, by channel), 0 to 10 V."""
         volts = [0.0, 0.0, 0.0]
-        for plant, channel, volts_at in self._potentiometers:
-            volts[channel] = min(max(volts_at(plant.position), 0.0), 10.0)
+        for axis in self._axes.values():
+            reading = axis.potentiometer.volts(axis.middle + axis.response.output)
+            volts[axis.potentiometer_channel] = min(max(reading, 0.0), 10.0)
         return volts
+
+
+class _Axis:
+    """The model of one axis, and how the boards are connected to it."""
+
+    __slots__ = (
+        "middle",
+        "name",
+        "potentiometer",
+        "potentiometer_channel",
+        "response",
+        "unit",
+        "valve_centre_v",
+        "valve_channel",
+    )
+
+    def __init__(self, name: str, settings: AxisSettings, model: LinearModel, period_ns: int) -> None:
+        self.name = name
+        self.unit = settings.unit
+        self.response = response_of(model, period_ns)
+        self.valve_channel = settings.valve.channel - 1
+        self.valve_centre_v = settings.valve.centre_v
+        self.potentiometer = settings.potentiometer
+        self.potentiometer_channel = settings.potentiometer.channel - 1
+        self.middle = settings.potentiometer.position(5.0)
+        """Position at the middle of the potentiometer's range."""

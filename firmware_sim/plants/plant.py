@@ -1,4 +1,4 @@
-"""What a plant behind the boards is: valve voltages held for a while in, potentiometer voltages out."""
+"""The interface of a plant behind the simulated boards."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from typing import Protocol
 
 
 class Plant(Protocol):
-    """A plant with three channels, counted from 0 here and from 1 in the rig file."""
+    """A plant with three channels: valve voltages in, potentiometer voltages out.
+
+    Channels are counted from 0 here, and from 1 in the rig file. Time passes only in ``advance``.
+    """
 
     def advance(self, duration_ns: int, valve_v: Sequence[float]) -> None:
-        """Hold the valve voltages (0 to 10 V, by channel) for ``duration_ns``.
+        """Hold the valve voltages (V, by channel, 0 to 10 V) for ``duration_ns``.
 
-        Raises HilError when the state leaves what the model can stand for.
+        Raises HilError if the state leaves the range for which the model is valid.
         """
 
     def potentiometer_v(self) -> Sequence[float]:
-        """The potentiometers' voltages now, by channel, 0 to 10 V; a free channel reads 0 V."""
+        """Return the potentiometers' voltages now (V, by channel), 0 to 10 V; 0 V on an unused channel."""

@@ -1,0 +1,96 @@
+"""The plant document as the simulation reads it."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from typing import Any
+
+import pytest
+from support.shipped_rig import SHIPPED_RIG
+
+from design.models.plant import read_plant
+from firmware_sim.plants.linear_model import EQUATION_15, LinearModel
+from firmware_sim.plants.plant_file import check_plant_fits, read_plant_file
+from hil.core.errors import DocumentError
+
+PLANT: dict[str, Any] = {
+    "format": "hil-plant",
+    "version": 1,
+    "name": "mine",
+    "input_unit": "V",
+    "output_unit": "m",
+    "num": [0.5],
+    "den": [1.0, 2.0],
+}
+
+
+def text(**changes: object) -> str:
+    return json.dumps({key: value for key, value in {**PLANT, **changes}.items() if value is not None})
+
+
+def test_a_document_gives_its_model() -> None:
+    assert read_plant_file(text(), "plant.json").model == LinearModel((0.5,), (1.0, 2.0))
+    assert read_plant_file(text(dead_time_s=0.0056), "plant.json").model == LinearModel(
+        (0.5,), (1.0, 2.0), 0.0056
+    )
+
+
+def test_keys_that_a_simulation_does_not_need_are_ignored() -> None:
+    document = text(description="of the arm", sample_time_s=0.0112, origin={"fit": 98.1}, covariance=[[1.0]])
+    assert read_plant_file(document, "plant.json").name == "mine"
+
+
+@pytest.mark.parametrize("name", ["paper", "vertical", "horizontal", "rotation", "rotation-loaded"])
+def test_every_shipped_plant_is_read_as_design_reads_it(name: str) -> None:
+    document = (files("design.models") / f"plants/{name}.json").read_text()
+    ours, designs = read_plant_file(document, name), read_plant(document, name)
+    assert (ours.model.num, ours.model.den) == (tuple(designs.num), tuple(designs.den))
+    assert ours.output_unit == designs.output_unit
+
+
+def test_the_shipped_paper_plant_is_equation_15() -> None:
+    document = (files("design.models") / "plants/paper.json").read_text()
+    model = read_plant_file(document, "paper").model
+    assert model.num == pytest.approx(EQUATION_15.num, rel=1e-6)
+    assert model.den == pytest.approx(EQUATION_15.den, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ("{", "plant.json: not valid JSON"),
+        ("[]", "plant.json: expected `object`, got `array`"),
+        (text(format="hil-controller"), "plant.json: format: 'hil-controller': "),
+        (text(version=3), "plant.json: version: 3: "),
+        (text(input_unit="bar"), "plant.json: input_unit: 'bar': "),
+        (text(output_unit="mm"), "plant.json: output_unit: 'mm': must be 'm' or 'rad'"),
+        (text(num=None), "num"),
+        (text(num="1"), "plant.json: num: '1': expected `array`"),
+        (text(num=[]), "plant.json: num: "),
+        (text(den=[1.0, float("nan")]), "plant.json: den[1]: nan is not a finite number"),
+        (text(den=[0.0]), "plant.json: den: all coefficients are 0"),
+        (text(num=[0.0]), "plant.json: num: all coefficients are 0: the valve would not move the axis"),
+        (text(num=[1.0, 0.0, 0.0]), "plant.json: num has degree 2 and den has degree 1"),
+        (text(den=[1.0] * 3000), "plant.json: den: "),
+        (text(den=[1.0] * 60), "plant.json: den: degree 59 exceeds the limit of 30"),
+        (text(dead_time_s=-0.1), "plant.json: dead_time_s: -0.1: expected `float` >= 0.0"),
+        (text(dead_time_s=1e9), "plant.json: dead_time_s: 1000000000.0: expected `float` <= 10.0"),
+    ],
+)
+def test_an_invalid_document_is_rejected_with_file_and_key(document: str, message: str) -> None:
+    with pytest.raises(DocumentError) as caught:
+        read_plant_file(document, "plant.json")
+    assert str(caught.value).startswith("plant.json: ")
+    assert message in str(caught.value)
+
+
+def test_a_plant_in_another_unit_is_rejected_with_both_units() -> None:
+    plant = read_plant_file(text(output_unit="rad"), "plant.json")
+    check_plant_fits(plant, "plant.json", "rotation", SHIPPED_RIG.axes["rotation"].unit)
+    with pytest.raises(DocumentError) as caught:
+        check_plant_fits(plant, "plant.json", "vertical", "m")
+    assert str(caught.value) == (
+        "plant.json: output_unit: rad, but axis vertical is in m (rig file: axes.vertical.unit); choose a "
+        "plant that was identified in m"
+    )
