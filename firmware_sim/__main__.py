@@ -1,4 +1,4 @@
-"""``python -m firmware_sim`` is ``firmware-sim``."""
+"""Entry point of ``python -m firmware_sim``, which is the command ``firmware-sim``."""
 
 import sys
 

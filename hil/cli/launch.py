@@ -18,7 +18,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_sim.plant_options import build_plant, planned_events, plant_arguments
+from firmware_sim.plant_options import plant_arguments
+from firmware_sim.simulated_plant import build_plant, planned_events
 from hil import __version__
 from hil.core.errors import LinkError
 from hil.core.gateway import Gateway

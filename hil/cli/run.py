@@ -13,7 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_sim.plant_options import add_plant_options, check_plant_options, plant_texts
+from firmware_sim.plant_options import add_plant_options, check_plant_options, given_plant_options
+from firmware_sim.simulated_plant import plant_texts
 from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
 from hil.cli.record_path import figure_of, picture_of, recording_path
 from hil.core.errors import DocumentError, HilError, LinkError, RecordingExistsError
@@ -48,9 +49,10 @@ def main(argv: list[str]) -> int:
         )
     if bus == SIMULATED:
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
-    elif options.arm or options.linear or options.event:
+    elif given := given_plant_options(options):
         raise DocumentError(
-            f"--arm, --linear and --event choose what `hil run` simulates; --bus {bus} is no simulation"
+            f"{given[0]} chooses what `hil run` simulates; --bus {bus} is no simulation. Omit {given[0]}, or "
+            "omit --bus"
         )
     if bus != SIMULATED and scenario is not None and scenario.events:
         sys.stderr.write("The scenario's events are the simulated arm's: firmware-sim --scenario has them.\n")

@@ -1,4 +1,4 @@
-"""The paper's experiments through gateway, frames, boards and the pneumatic arm, as a user runs them."""
+"""Experiments on the simulated arm through gateway, frames and boards, as ``hil run`` runs them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.arm_bench import PERIOD_S, identify, prbs
+from scipy.signal import cont2discrete, tf2ss
+from support.arm_bench import identify, prbs
+from support.arm_files import SHIPPED_TEXT
+from support.shipped_rig import PERIOD_NS, PERIOD_S, SHIPPED_RIG
 
-import firmware_sim.arm
 from hil.cli import main
 from hil.core.life_cycle import LifeCycleState
 from hil.recording.mcap_reader import Rows
@@ -30,7 +32,7 @@ def run(path: Path, *arguments: str) -> Recording:
 
 
 class Stair:
-    """One step of a recorded response, up to the next."""
+    """One step of a recorded response, up to the next step."""
 
     def __init__(self, rows: Rows, index: int, end: int) -> None:
         r, y = rows["setpoint"], rows["position"][index:end]
@@ -49,7 +51,7 @@ def stairs(rows: Rows) -> list[Stair]:
 
 
 def test_fig_13_step_of_the_vertical_axis(tmp_path: Path) -> None:
-    """The paper: about 1 s, no overshoot, error within about 0.7 mm. From a settled hold."""
+    """The paper's response settles in about 1 s, without overshoot and with an error of about 0.7 mm."""
     recording = run(tmp_path / "fig13.mcap", "--scenario", "fig13")
     rows = running(recording, "vertical")
     (step,) = stairs(rows)
@@ -62,8 +64,8 @@ def test_fig_13_step_of_the_vertical_axis(tmp_path: Path) -> None:
     assert verify(recording).frames_compared > 900
 
 
-def test_fig_14_ladder_with_load_at_low_pressure(tmp_path: Path) -> None:
-    """3 kg, 400 kPa, the other axes moving: nearly as without; the paper's settling is a little longer."""
+def test_fig_14_staircase_with_load_at_low_pressure(tmp_path: Path) -> None:
+    """With 3 kg, 400 kPa and moving axes the response is nearly as without; the paper's settles later."""
     recording = run(tmp_path / "fig14.mcap", "--scenario", "fig14")
     steps = stairs(running(recording, "vertical"))
     assert len(steps) == 6
@@ -87,7 +89,7 @@ def test_fig_15_steps_of_the_other_axes(tmp_path: Path) -> None:
 
 
 def test_the_whole_chain_identifies_equation_15(tmp_path: Path) -> None:
-    """Excite in open loop through the gateway, record, fit OE(1,3,1) to the recording."""
+    """Excite in open loop through the gateway, record, and estimate OE(1,3,1) from the recording."""
     amplitude_v, volts_per_metre = 0.4, 4.0
     u_wanted = amplitude_v / volts_per_metre * prbs(int(60 / PERIOD_S), 12, seed=1)
     rows, time_s = ["time_s,setpoint"], 0.0
@@ -111,7 +113,7 @@ def test_the_whole_chain_identifies_equation_15(tmp_path: Path) -> None:
     )  # fmt: skip
     rows_read = running(recording, "vertical")
     commanded_v = rows_read["command_v"] - 5.0
-    applied_v = np.concatenate([[0.0], commanded_v[:-1]])  # at the next SYNC
+    applied_v = np.concatenate([[0.0], commanded_v[:-1]])  # a command acts at the next SYNC
     model = identify(applied_v, rows_read["position"].copy(), stops=0.14)
     assert model.velocity_gain == pytest.approx(0.47947 * 90.76 / 167.9, rel=0.05)
     assert model.slow_rad_s == pytest.approx(0.4231, rel=0.15)
@@ -121,7 +123,7 @@ def test_the_whole_chain_identifies_equation_15(tmp_path: Path) -> None:
     assert model.fit_percent > 97.0
 
 
-def test_a_broken_wire_faults_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_broken_wire_is_a_fault_with_its_cause(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scenario = tmp_path / "wire.toml"
     scenario.write_text(
         'title = "wire"\nduration_s = 4.0\n'
@@ -130,8 +132,10 @@ def test_a_broken_wire_faults_and_says_so(tmp_path: Path, capsys: pytest.Capture
     path = tmp_path / "wire.mcap"
     arguments = ["run", "--lockstep", "--record", str(path), "--scenario", str(scenario)]
     assert main(arguments) == 1
-    told = capsys.readouterr().out
-    assert "rotation: potentiometer 0.000 V outside 0.1 to 9.9 V (rig: axes.rotation.potentiometer)" in told
+    printed = capsys.readouterr().out
+    assert (
+        "rotation: potentiometer 0.000 V outside 0.1 to 9.9 V (rig: axes.rotation.potentiometer)" in printed
+    )
     assert Recording(path).axis("rotation")["command_v"][-1] == 5.0
 
 
@@ -143,17 +147,17 @@ def test_the_same_run_twice_gives_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "one.mcap").read_bytes() != (tmp_path / "other.mcap").read_bytes()
 
 
-def test_an_experiment_takes_an_arm_of_ones_own(tmp_path: Path) -> None:
+def test_a_scenario_runs_on_the_users_own_arm(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     own = tmp_path / "arm.toml"
-    own.write_text((Path(firmware_sim.arm.__file__).parent / "arm.toml").read_text() + "# mine\n")
+    own.write_text(SHIPPED_TEXT + "# mine\n")
     arguments = ["run", "--lockstep", "--duration", "1", "--scenario", "fig14", "--record", str(path)]
     assert main([*arguments, "--arm", str(own)]) == 0
     assert Recording(path).attachments["arm.toml"].endswith(b"# mine\n")
     assert main([*arguments, "--linear"]) == 2
 
 
-def test_a_run_is_repeated_from_what_its_recording_holds(tmp_path: Path) -> None:
+def test_a_run_is_repeated_from_its_recording(tmp_path: Path) -> None:
     events = ["--event", "payload:2@0.5", "--event", "stuck-spool:rotation@1"]
     given = ["--scenario", "fig14", "--duration", "2", "--seed", "3", *events]
     first = run(tmp_path / "first.mcap", *given)
@@ -161,16 +165,16 @@ def test_a_run_is_repeated_from_what_its_recording_holds(tmp_path: Path) -> None
         (tmp_path / name).write_bytes(first.attachments[name])
     plant = first.metadata["plant"]
     assert plant == json.loads(first.attachments["plant.json"])
-    told = [argument for event in plant["events"].split() for argument in ("--event", event)]
+    events_again = [argument for event in plant["events"].split() for argument in ("--event", event)]
     files = ["--scenario", str(tmp_path / "scenario.toml"), "--arm", str(tmp_path / "arm.toml")]
-    again = run(tmp_path / "again.mcap", *files, *told, "--seed", plant["seed"], "--duration", "2")
+    again = run(tmp_path / "again.mcap", *files, *events_again, "--seed", plant["seed"], "--duration", "2")
     assert np.array_equal(first.axis("vertical"), again.axis("vertical"))
     assert first.metadata["run"] == again.metadata["run"]
-    other = run(tmp_path / "other.mcap", *files, *told, "--seed", "4", "--duration", "2")
+    other = run(tmp_path / "other.mcap", *files, *events_again, "--seed", "4", "--duration", "2")
     assert first.metadata["run"]["configuration sha256"] != other.metadata["run"]["configuration sha256"]
 
 
-def test_an_event_reaches_the_boards_in_a_process_of_their_own(
+def test_an_event_reaches_the_boards_in_their_own_process(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "wire.mcap"
@@ -184,10 +188,13 @@ def test_an_event_reaches_the_boards_in_a_process_of_their_own(
     [
         (["--event", "payload:300@2"], "--event 'payload:300@2': mass_kg: 300: expected `float` <= 100.0"),
         (["--linear", "--event", "payload:3@2"], "--event is for the pneumatic arm"),
-        (["--bus", "inproc:x", "--event", "payload:3@2"], "--bus inproc:x is no simulation"),
+        (
+            ["--bus", "inproc:x", "--event", "payload:3@2"],
+            "--event chooses what `hil run` simulates; --bus inproc:x is no simulation",
+        ),
     ],
 )
-def test_an_event_that_cannot_be_is_refused(
+def test_an_invalid_event_is_rejected(
     arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["run", *arguments]) == 2
@@ -197,11 +204,102 @@ def test_an_event_that_cannot_be_is_refused(
 @pytest.mark.parametrize(
     "table", ['figure_axes = ["elbow"]', '[setpoints]\nelbow = "step:0@0"', '[controllers]\nelbow = "ppid"']
 )
-def test_a_scenario_for_an_axis_that_the_rig_has_not_is_refused(
+def test_a_scenario_for_an_axis_that_the_rig_does_not_have_is_rejected(
     table: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(f'title = "elbow"\nduration_s = 1.0\n{table}\n')
     assert main(["run", "--lockstep", "--scenario", str(path)]) == 2
-    complaint = f"{path}: {table.strip('[').split()[0].strip('[]')}: 'elbow': the rig has only vertical, "
+    complaint = f"{path}: {table.strip('[').split()[0].strip('[]')}: no axis 'elbow'; the rig has vertical, "
+    assert complaint in capsys.readouterr().err
+
+
+PLANT = {
+    "format": "hil-plant", "version": 1, "name": "mine", "input_unit": "V", "output_unit": "m",
+    "num": [0.5, 12.0], "den": [1.0, 9.0, 52.0, 15.0], "dead_time_s": 0.0171,
+}  # fmt: skip
+"""A plant that is not the arm's: a mode of 7.1 rad/s, and a dead time of 1.53 periods."""
+
+
+@pytest.fixture
+def plant_json(tmp_path: Path) -> Path:
+    path = tmp_path / "plant.json"
+    path.write_text(json.dumps(PLANT))
+    return path
+
+
+def test_a_run_on_a_plant_file_is_the_response_of_its_model(tmp_path: Path, plant_json: Path) -> None:
+    """Each position is scipy's response to the recorded commands, to half a step of the converter."""
+    recording = run(tmp_path / "run.mcap", "--plant", f"vertical={plant_json}", "--duration", "6")
+    rows = recording.axis("vertical")
+    rig = SHIPPED_RIG.axes["vertical"]
+    # A frame has 15 bit, of which the board's converter uses 12. A command acts at the next SYNC.
+    commanded_v = np.rint(rows["command_v"] * 3276.8) // 8 / 409.6
+    applied_v = np.concatenate([[0.0], commanded_v[:-1] - 5.0])
+    periods = np.rint(np.diff(rows["time_ns"]) / PERIOD_NS).astype(int)
+    assert (periods == 1).all()
+    steps_per_period = 112  # 0.1 ms: the dead time is a whole number of steps
+    u = np.repeat(applied_v, steps_per_period)
+    u = np.concatenate([np.zeros(171), u])[: len(u)]
+    A, B, C, _, _ = cont2discrete(tf2ss(PLANT["num"], PLANT["den"]), PERIOD_S / steps_per_period, "zoh")
+    x, y = np.zeros(len(A)), []
+    for k, volts in enumerate(u):
+        if k % steps_per_period == 0:
+            y.append((C @ x).item())
+        x = A @ x + B[:, 0] * volts
+    resolution = (rig.potentiometer.y_at_10v - rig.potentiometer.y_at_0v) / 4096
+    assert np.ptp(y) > 0.05
+    assert np.abs(y - rows["position"]).max() < 0.501 * resolution
+    assert verify(recording).frames_compared > 500
+
+
+def test_a_run_on_a_plant_file_is_reproducible_and_repeated_from_its_recording(
+    tmp_path: Path, plant_json: Path
+) -> None:
+    given = [
+        "--setpoint",
+        "vertical=step:0.05@0.2",
+        "--event",
+        "payload:2@0.5",
+        "--duration",
+        "2",
+        "--seed",
+        "3",
+    ]
+    first = run(tmp_path / "first.mcap", "--plant", f"vertical={plant_json}", *given)
+    again = run(tmp_path / "again.mcap", "--plant", f"vertical={plant_json}", *given)
+    assert (tmp_path / "first.mcap").read_bytes() == (tmp_path / "again.mcap").read_bytes()
+    assert first.metadata["plant"]["plants"] == "vertical"
+    assert json.loads(first.attachments["plants/vertical.json"]) == PLANT
+    (tmp_path / "recorded.json").write_bytes(first.attachments["plants/vertical.json"])
+    other = run(tmp_path / "other.mcap", "--plant", f"vertical={tmp_path}/recorded.json", *given)
+    assert first.metadata["run"] == other.metadata["run"] == again.metadata["run"]
+    without = run(tmp_path / "without.mcap", *given)
+    assert not np.array_equal(first.axis("vertical")["position"], without.axis("vertical")["position"])
+
+
+def test_a_plant_file_reaches_the_boards_in_their_own_process(tmp_path: Path, plant_json: Path) -> None:
+    path = tmp_path / "run.mcap"
+    arguments = ["run", "--record", str(path), "--duration", "2", "--plant", f"vertical={plant_json}"]
+    assert main([*arguments, "--setpoint", "vertical=step:0.05@0.2"]) == 0
+    moved = np.ptp(running(Recording(path), "vertical")["position"])
+    assert 0.04 < moved < 0.12
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--plant", "rotation=paper"], "output_unit: m, but axis rotation is in rad"),
+        (
+            ["--plant", "elbow=paper"],
+            "--plant elbow=paper: no such axis; the rig has vertical, horizontal, rotation",
+        ),
+        (["--plant", "paper"], "--plant 'paper': not AXIS=FILE"),
+        (["--bus", "inproc:x", "--plant", "vertical=paper"], "--plant chooses what `hil run` simulates"),
+    ],
+)
+def test_a_plant_file_that_does_not_fit_is_rejected(
+    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", *arguments]) == 2
     assert complaint in capsys.readouterr().err

@@ -1,0 +1,73 @@
+"""The simulated boards in real time: a rig on a bus, driven by CLOCK_MONOTONIC."""
+
+from __future__ import annotations
+
+from time import monotonic_ns, time_ns
+from typing import TYPE_CHECKING, Protocol
+
+from firmware_sim.simulated_rig import SimulatedRig
+from hil.core.frames import Frame
+
+if TYPE_CHECKING:
+    from hil.links import Received
+
+_MAX_CLOCK_GAP_NS = 50_000
+"""Largest duration of reading both clocks that counts as simultaneous."""
+_MAX_CLOCK_READINGS = 10
+"""Number of attempts to read both clocks simultaneously."""
+
+
+class Bus(Protocol):
+    """The bus of the boards: a ``hil.links.Link`` or a ``SerialDevice``."""
+
+    def send(self, frame: Frame) -> object: ...  # noqa: D102
+    def receive(self, timeout_s: float) -> Received | None: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
+
+
+class Watch(Protocol):
+    """A display of the plant, called again and again; it must not block."""
+
+    def update(self, now_ns: int) -> None: ...  # noqa: D102
+
+
+def simulate(rig: SimulatedRig, bus: Bus, watch: Watch | None = None) -> None:
+    """Power the boards on and run them until an exception is raised.
+
+    A frame is handled at the instant of its arrival, and before any deadline after that instant. This process
+    may have been delayed when a real board would not: then no watchdog acts because of commands that arrived
+    in time. The kernel may also deliver a frame after a later deadline was handled; such a frame still counts
+    as arrived before it.
+
+    Raises LinkError if the bus fails, and the HilError of a plant that fails. The boards are silent after
+    that.
+    """
+    now_ns = frame_ns = monotonic_ns()
+    frames = rig.start(now_ns)
+    while True:
+        for frame in frames:
+            bus.send(frame)
+        if watch is not None:
+            watch.update(now_ns)
+        asked_ns = monotonic_ns()
+        received = bus.receive(max(rig.next_deadline_ns - asked_ns, 0) * 1e-9)
+        if received is None:
+            # No frame arrived before the deadline. A frame that arrives while this process is delayed is not
+            # late.
+            now_ns = max(rig.next_deadline_ns, asked_ns)
+            frames = rig.on_deadline(now_ns)
+        else:
+            now_ns = frame_ns = max(_arrival_ns(received.stamp_ns), frame_ns)
+            frames = rig.receive(received.frame, now_ns)
+
+
+def _arrival_ns(stamp_ns: int) -> int:
+    """Convert the stamp of a frame (wall clock) to CLOCK_MONOTONIC.
+
+    The conversion uses the frame's age, because the wall clock may be set while the program runs.
+    """
+    for _ in range(_MAX_CLOCK_READINGS):
+        before_ns, wall_ns, after_ns = monotonic_ns(), time_ns(), monotonic_ns()
+        if after_ns - before_ns < _MAX_CLOCK_GAP_NS:
+            break  # otherwise this process was delayed between the two clocks
+    return before_ns - max(wall_ns - stamp_ns, 0)

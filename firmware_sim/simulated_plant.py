@@ -1,0 +1,134 @@
+"""The plant that the command-line options choose, and the documents with which a recording can repeat it.
+
+The axes of ``--plant`` have the linear models of their plant files. The other axes have eq. (15) with
+``--linear``, and the pneumatic arm's own dynamics without. The arm's axis that a linear model replaces stands
+still at rest, so it draws no air and puts no load on the other axes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+
+from firmware_sim.arm.arm_file import read_arm, shipped_arm_text
+from firmware_sim.arm.event_text import event_text, parse_event
+from firmware_sim.arm.events import AnyEvent
+from firmware_sim.arm.wiring import Wires, wiring
+from firmware_sim.plant_files import AxisPlant, read_axis_plants
+from firmware_sim.plant_options import check_plant_options, named_plants
+from firmware_sim.plants.plant import Plant
+from firmware_sim.scenario import Scenario, find_scenario, read_scenario
+from hil.core.errors import DocumentError
+from hil.core.rig import Rig
+from hil.host.text_file import read_text
+
+SHIPPED_ARM = "arm.toml"
+
+
+def build_plant(rig: Rig, options: argparse.Namespace) -> tuple[Plant, str]:
+    """Build the plant that ``options`` choose. Returns it with a description. Raises DocumentError."""
+    choice = _choose(rig, options)
+    parts: list[Plant] = []
+    texts: list[str] = []
+    if choice.arm_wiring:
+        from firmware_sim.arm.arm import Arm
+
+        parameters = read_arm(_arm_text(options), str(options.arm or SHIPPED_ARM))
+        parts.append(Arm(parameters, seed=options.seed, events=choice.events, wiring=choice.arm_wiring))
+        texts += ["the pneumatic arm", *([choice.scenario.title] if choice.scenario else []), *options.event]
+    if choice.plants or options.linear:
+        from firmware_sim.plants.linear_model import EQUATION_15
+        from firmware_sim.plants.linear_plant import LinearPlant
+
+        others = [axis for axis in rig.axes if axis not in choice.plants] if options.linear else []
+        models = {axis: plant.model for axis, plant in choice.plants.items()}
+        parts.append(LinearPlant(rig, dict.fromkeys(others, EQUATION_15) | models))
+        texts += [f"the linear model, eq. (15), for {', '.join(others)}"] if others else []
+        texts += [f"the linear model {plant.name!r} for {axis}" for axis, plant in choice.plants.items()]
+    if len(parts) == 1:
+        return parts[0], "; ".join(texts)
+    from firmware_sim.plants.combined_plant import CombinedPlant
+
+    return CombinedPlant(parts), "; ".join(texts)
+
+
+def plant_texts(rig: Rig, options: argparse.Namespace) -> dict[str, str]:
+    """Return the documents that describe the plant, by file name, for a recording. A run can be repeated with
+    them.
+
+    - ``plant.json``: model, seed, events of the command line and axes of ``--plant`` (both separated by
+    spaces), all
+      as strings.
+    - ``arm.toml``: the arm, if it is simulated.
+    - ``plants/<axis>.json``: the plant file of an axis.
+    - ``scenario.toml``: the scenario, if one is given.
+
+    Raises DocumentError for options that :func:`build_plant` does not accept.
+    """
+    choice = _choose(rig, options)
+    facts = {"model": "linear, eq. (15)" if options.linear else "linear", "seed": str(options.seed)}
+    texts = {}
+    if choice.arm_wiring:
+        arm_text = _arm_text(options)
+        read_arm(arm_text, str(options.arm or SHIPPED_ARM))
+        facts |= {"model": "pneumatic arm", "events": " ".join(options.event)}
+        texts["arm.toml"] = arm_text
+    if choice.plants:
+        facts["plants"] = " ".join(choice.plants)
+        texts |= {f"plants/{axis}.json": plant.text for axis, plant in choice.plants.items()}
+    if options.scenario is not None:
+        texts["scenario.toml"] = read_text(find_scenario(options.scenario))
+    return {"plant.json": json.dumps(facts, indent=2) + "\n", **texts}
+
+
+def planned_events(options: argparse.Namespace) -> dict[str, float]:
+    """Return the events of scenario and command line by time: text to seconds after the first sample."""
+    events = _events(_scenario(options), options)
+    return {event_text(event): event.at_s for event in sorted(events, key=lambda event: event.at_s)}
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """Checked options."""
+
+    plants: dict[str, AxisPlant]
+    """Plant file of each axis of ``--plant``."""
+    arm_wiring: dict[str, Wires]
+    """Axes that the pneumatic arm simulates; empty without the arm."""
+    scenario: Scenario | None
+    events: list[AnyEvent]
+
+
+def _choose(rig: Rig, options: argparse.Namespace) -> _Choice:
+    check_plant_options(options)
+    plants = read_axis_plants(rig, named_plants(options.plant))
+    arm_wiring = {} if options.linear else wiring(rig, without=plants)
+    scenario = _scenario(options)
+    events = _events(scenario, options)
+    for event in events:
+        if not arm_wiring or getattr(event, "axis", None) in plants:
+            raise DocumentError(
+                f"event {event_text(event)!r} (of --event or --scenario) acts on the pneumatic arm, but "
+                f"--plant puts a linear model on {', '.join(plants)}. Omit the event or --plant"
+            )
+    if options.arm and not arm_wiring:
+        raise DocumentError(
+            f"--arm {options.arm}: --plant puts a linear model on every axis. Omit --arm or --plant"
+        )
+    return _Choice(plants, arm_wiring, scenario, events)
+
+
+def _events(scenario: Scenario | None, options: argparse.Namespace) -> list[AnyEvent]:
+    return [*(scenario.events if scenario else ()), *map(parse_event, options.event)]
+
+
+def _scenario(options: argparse.Namespace) -> Scenario | None:
+    if options.scenario is None:
+        return None
+    path = find_scenario(options.scenario)
+    return read_scenario(read_text(path), str(path))
+
+
+def _arm_text(options: argparse.Namespace) -> str:
+    return shipped_arm_text() if options.arm is None else read_text(options.arm)
