@@ -18,10 +18,10 @@ class AxisPlant(NamedTuple):
     """The plant file of one axis."""
 
     name: str
-    """Name that the document gives the plant."""
+    """Name of the plant, from its document."""
     model: LinearModel
     text: str
-    """The document."""
+    """Text of the plant document."""
 
 
 def read_axis_plants(rig: Rig, named: Mapping[str, str]) -> dict[str, AxisPlant]:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from hil.links import Received
 
 _MAX_CLOCK_GAP_NS = 50_000
-"""Largest duration of reading both clocks that counts as simultaneous."""
+"""Two clocks count as read simultaneously if reading both takes no longer than this."""
 _MAX_CLOCK_READINGS = 10
 """Number of attempts to read both clocks simultaneously."""
 

@@ -67,11 +67,10 @@ def main(file_descriptor: int) -> None:
 
 
 def picture(view: dict[str, Any], width: int) -> Text:
-    """Draw a state of the arm in at most ``width`` columns (at least 72): a heading and two lines for each
-    axis.
+    """Draw a state of the arm in at most ``width`` columns, but at least 72.
 
-    The first line of an axis has its numbers and the pressures of its chambers. The second line shows the
-    position within the potentiometer's range.
+    The picture has a heading and two lines for each axis. The first line of an axis has its numbers and the
+    pressures of its chambers. The second line shows the position within the potentiometer's range.
     """
     width = min(max(width, MIN_COLUMNS), MAX_COLUMNS) - 1  # the last column is for the cursor
     supply_pa, cells = view["supply_pa"], (width - NUMBER_COLUMNS) // 2

@@ -1,5 +1,4 @@
-"""Binding to the compiled dynamics (``dynamics.c``) by ctypes: its structs, field for field, and its
-functions.
+"""Binding to the compiled dynamics, ``dynamics.c``, by ctypes: its structs and its functions.
 
 Why C: one file of plain C is compiled once, at installation. It loads in a millisecond, needs nothing at run
 time, and does its arithmetic in the order in which it is written. numba would compile at start, or keep a

@@ -109,15 +109,15 @@ class Friction(Document, frozen=True):
     coulomb_n: Annotated[float, _between(1e-6, 1e4)]
     static_n: Annotated[float, _between(1e-6, 1e4)]
     stribeck_m_s: Annotated[float, _between(1e-4, 1.0)]
-    """g(v) = coulomb + (static - coulomb) / (1 + (v/stribeck)^2)."""
+    """Stribeck velocity. Dry friction is g(v) = coulomb + (static - coulomb) / (1 + (v/stribeck)^2)."""
     bristle_n_m: Annotated[float, _between(0.0, 1e7)]
     bristle_n_s_m: Annotated[float, _between(0.0, 1e5)]
     viscous_n_s_m: Annotated[float, _between(0.0, 1e5)]
     per_moment_1_n_m: Annotated[float, _between(0.0, 10.0)]
-    """Relative increase of ``coulomb_n``, ``static_n`` and ``bristle_n_m`` per newton metre of moment on the
-    guides.
+    """Relative increase of dry friction per newton metre of moment on the guides.
 
-    The moment counts from its value at mid-reach without payload.
+    Dry friction is ``coulomb_n``, ``static_n`` and ``bristle_n_m``. The moment is counted from that at
+    mid-reach without payload.
     """
 
 

@@ -31,7 +31,7 @@ from hil.core.frames import Frame
 from hil.core.rig import Rig
 
 Volts: TypeAlias = tuple[float, float, float]
-"""Voltages of the three channels."""
+"""Voltages of the board's three channels."""
 
 MAX_COUNTER_STEP: Final = 127
 """Largest forward difference of the command counter that is accepted. Beyond it the counter went back."""
@@ -102,7 +102,7 @@ class DacBoard(CanopenSlave[DacFaults]):
         self._centre_v: Volts = (centre_v[0], centre_v[1], centre_v[2])
         self._commanded_v = self._centre_v
         self.valve_v = self._centre_v
-        """Voltages on the pins now."""
+        """Voltages on the valves' pins now."""
         self._pending_v: Volts | None = None
         self._counter: int | None = None
         self._command_due_ns = NEVER

@@ -72,9 +72,9 @@ class DelayedResponse:
         self._dead_time_ns = dead_time_ns
         self._time_ns = 0
         self._input = 0.0
-        """Input that acts on the response now."""
+        """Input that acts on the undelayed response now."""
         self._pending: deque[tuple[int, float]] = deque()
-        """Later inputs: (time from which it acts, value)."""
+        """Inputs that act later because of the dead time: (time from which it acts, value)."""
 
     @property
     def output(self) -> float:

@@ -31,7 +31,7 @@ Step: TypeAlias = tuple[float, ...]
 """The n rows of [Ea | Eb], then [C + C Ea | C Eb + D]: (n + 1)^2 numbers for order n."""
 State: TypeAlias = Sequence[float]
 Rows: TypeAlias = list[list[float]]
-"""The n rows of [Ea | Eb]."""
+"""The n rows of [Ea | Eb] of one duration."""
 
 MAX_ORDER: Final = 30
 """Largest order of a model."""
@@ -52,7 +52,7 @@ class StepTable:
     advance: Callable[[State, Step, float], tuple[State, float]]
     """Function (x, step, u) -> (x, y) at the end of the step."""
     _output: tuple[float, ...]
-    """[C | D]."""
+    """Output row [C | D] of the realisation."""
     _levels: tuple[tuple[Step, ...], ...]
     """Steps of 1 to 15 times 16^level nanoseconds, by level."""
 
@@ -174,7 +174,7 @@ def _composed(first: Rows, second: Rows) -> Rows:
 
 
 def _product(first: Rows, second: Rows) -> Rows:
-    """Return [Ea1 Ea2 | Ea1 Eb2]."""
+    """Return the product [Ea1 Ea2 | Ea1 Eb2] of two steps."""
     product = []
     for row in first:
         out = [0.0] * len(row)

@@ -54,9 +54,9 @@ def test_frames_from_the_host_reach_the_bus(device: SerialDevice, bus: can.BusAB
 @pytest.mark.parametrize("frame", FRAMES, ids=str)
 def test_frames_from_the_bus_reach_the_host(device: SerialDevice, bus: can.BusABC, frame: Frame) -> None:
     device.send(frame)
-    heard = bus.recv(5)
-    assert heard is not None
-    assert (heard.arbitration_id, bytes(heard.data), heard.is_extended_id) == frame[:3]
+    received = bus.recv(5)
+    assert received is not None
+    assert (received.arbitration_id, bytes(received.data), received.is_extended_id) == frame[:3]
 
 
 def test_bursts_arrive_complete_and_in_order(device: SerialDevice, bus: can.BusABC) -> None:

@@ -182,7 +182,7 @@ def test_a_plant_file_replaces_one_axis_of_the_arm_and_events_act_on_the_others(
     )
     assert text == "the pneumatic arm; broken-wire:rotation@0.2; the linear model 'mine' for vertical"
     model = LinearPlant(SHIPPED_RIG, {"vertical": MODEL})
-    # The arm's own vertical axis has its resting voltage, so it does not move and loads nobody.
+    # The arm's own vertical axis rests, so the other axes move as on an arm whose vertical valve is at rest.
     still = arm("--event", "broken-wire:rotation@0.2")
     for mixed in readings(plant):
         model.advance(PERIOD_NS, MOVE_V)

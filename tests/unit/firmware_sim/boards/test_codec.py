@@ -63,10 +63,10 @@ def test_unprotected_values_are_the_first_six_bytes(counts: tuple[int, int, int]
 
 @given(three_counts, bytes8, st.integers(0, 63))
 def test_the_crc_detects_every_single_bit_error(counts: tuple[int, int, int], counter: int, bit: int) -> None:
-    torn = bytearray(codec.encode_values(counts, counter))
-    torn[bit // 8] ^= 1 << bit % 8
+    corrupt = bytearray(codec.encode_values(counts, counter))
+    corrupt[bit // 8] ^= 1 << bit % 8
     with pytest.raises(codec.RejectedPdoError) as caught:
-        codec.decode_values(bytes(torn), protected=True)
+        codec.decode_values(bytes(corrupt), protected=True)
     assert caught.value.reason == codec.RejectedPdoError.CRC
 
 

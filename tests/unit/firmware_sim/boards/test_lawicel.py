@@ -148,10 +148,10 @@ pieces = st.lists(
 
 @given(pieces, st.lists(st.integers(0, 400), max_size=20))
 def test_the_answers_do_not_depend_on_where_the_bytes_are_split(data: bytes, cuts: list[int]) -> None:
-    whole, torn = opened(), opened()
+    whole, divided = opened(), opened()
     answer = whole.from_host(data)
     edges = [0, *sorted(cuts), len(data)]
-    parts = [torn.from_host(data[start:end]) for start, end in pairwise(edges) if start <= end]
+    parts = [divided.from_host(data[start:end]) for start, end in pairwise(edges) if start <= end]
     assert b"".join(part.to_host for part in parts) == answer.to_host
     assert tuple(frame for part in parts for frame in part.to_bus) == answer.to_bus
     assert answer.to_host.count(b"\r") + answer.to_host.count(b"\a") == data.count(b"\r")
