@@ -8,8 +8,13 @@ others (description, origin, …), so it shares no code with ``design``.
       "input_unit": "V", "output_unit": "m",
       "num": [0.47947, 43.5166972],
       "den": [1.0, 17.3931, 175.080007, 71.03849],
-      "dead_time_s": 0.0056
+      "dead_time_s": 0.0168, "contains_delay_samples": 1, "sample_time_s": 0.0112
     }
+
+The dead time of a model may contain the transport delay of the rig on which the plant was identified: so many
+periods as ``contains_delay_samples`` says, of ``sample_time_s`` each. The simulated boards have a transport
+delay of their own, so the simulated plant has the rest only. In the example that is 0.0168 s - 0.0112 s =
+0.0056 s.
 """
 
 from __future__ import annotations
@@ -38,13 +43,23 @@ class PlantFile(msgspec.Struct, frozen=True, kw_only=True):
     """Numerator coefficients in falling powers of s, output unit per volt."""
     den: Coefficients
     """Denominator coefficients in falling powers of s."""
+    sample_time_s: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+    """Period of the record from which the plant was identified."""
     dead_time_s: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0
-    """Dead time of the plant in seconds."""
+    """Dead time of the model in seconds, in addition to num/den."""
+    contains_delay_samples: Annotated[int, msgspec.Meta(ge=0, le=20)] = 0
+    """Number of periods of the rig's transport delay that the model contains."""
+
+    @property
+    def own_dead_time_s(self) -> float:
+        """Dead time of the plant itself, without the rig's transport delay, rounded to a nanosecond."""
+        contained_s = self.contains_delay_samples * (self.sample_time_s or 0.0)
+        return round(self.dead_time_s - contained_s, 9)
 
     @property
     def model(self) -> LinearModel:
-        """The document's transfer function with its dead time."""
-        return LinearModel(tuple(self.num), tuple(self.den), self.dead_time_s)
+        """Model of the plant itself, without the rig's transport delay."""
+        return LinearModel(tuple(self.num), tuple(self.den), self.own_dead_time_s)
 
 
 def read_plant_file(text: str, source: str) -> PlantFile:
@@ -55,6 +70,18 @@ def read_plant_file(text: str, source: str) -> PlantFile:
     plant = from_json(text, PlantFile, source)
     if not any(plant.num):
         raise DocumentError(f"{source}: num: all coefficients are 0: the valve would not move the axis")
+    if plant.contains_delay_samples and plant.sample_time_s is None:
+        raise DocumentError(
+            f"{source}: contains_delay_samples: {plant.contains_delay_samples} periods, but sample_time_s, "
+            "the length of a period, is missing; add it"
+        )
+    if plant.own_dead_time_s < 0.0:
+        raise DocumentError(
+            f"{source}: contains_delay_samples: {plant.contains_delay_samples} periods of "
+            f"{plant.sample_time_s:g} s are longer than dead_time_s, {plant.dead_time_s:g} s: num/den "
+            "contain a part of the rig's transport delay, which the simulated boards would add again. "
+            "Identify the plant with its dead time separate from num/den"
+        )
     try:
         step_table(plant.model)
     except ValueError as error:

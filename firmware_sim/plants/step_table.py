@@ -33,7 +33,7 @@ State: TypeAlias = Sequence[float]
 Rows: TypeAlias = list[list[float]]
 """The n rows of [Ea | Eb] of one duration."""
 
-MAX_ORDER: Final = 30
+MAX_ORDER: Final = 20
 """Largest order of a model."""
 MAX_RATE_RAD_S: Final = 1e8
 """Limit of the bound of the poles' magnitude. Beyond it a nanosecond is not short."""

@@ -36,6 +36,18 @@ def test_a_document_gives_its_model() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("periods", "dead_time_s", "own_s"),
+    [(0, 0.0168, 0.0168), (1, 0.0168, 0.0056), (1, 0.0112, 0.0), (3, 0.0336, 0.0)],
+)
+def test_the_rigs_transport_delay_is_not_simulated_twice(
+    periods: int, dead_time_s: float, own_s: float
+) -> None:
+    """The simulated boards delay a command themselves, so the plant has only the rest of its dead time."""
+    document = text(sample_time_s=0.0112, dead_time_s=dead_time_s, contains_delay_samples=periods)
+    assert read_plant_file(document, "plant.json").model.dead_time_s == own_s
+
+
 def test_keys_that_a_simulation_does_not_need_are_ignored() -> None:
     document = text(description="of the arm", sample_time_s=0.0112, origin={"fit": 98.1}, covariance=[[1.0]])
     assert read_plant_file(document, "plant.json").name == "mine"
@@ -73,7 +85,15 @@ def test_the_shipped_paper_plant_is_equation_15() -> None:
         (text(num=[0.0]), "plant.json: num: all coefficients are 0: the valve would not move the axis"),
         (text(num=[1.0, 0.0, 0.0]), "plant.json: num has degree 2 and den has degree 1"),
         (text(den=[1.0] * 3000), "plant.json: den: "),
-        (text(den=[1.0] * 60), "plant.json: den: degree 59 exceeds the limit of 30"),
+        (text(den=[1.0] * 60), "plant.json: den: degree 59 exceeds the limit of 20"),
+        (
+            text(contains_delay_samples=1, dead_time_s=0.0112),
+            "contains_delay_samples: 1 periods, but sample_time_s, the length of a period, is missing",
+        ),
+        (
+            text(contains_delay_samples=1, dead_time_s=0.0111, sample_time_s=0.0112),
+            "plant.json: contains_delay_samples: 1 periods of 0.0112 s are longer than dead_time_s, 0.0111 s",
+        ),
         (text(dead_time_s=-0.1), "plant.json: dead_time_s: -0.1: expected `float` >= 0.0"),
         (text(dead_time_s=1e9), "plant.json: dead_time_s: 1000000000.0: expected `float` <= 10.0"),
     ],
