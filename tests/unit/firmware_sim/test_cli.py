@@ -133,6 +133,9 @@ def test_a_process_that_is_not_the_parent_is_rejected(
             "broken.toml: loop.period_s: 7.0: expected `float` <= 1.0",
         ),
         (["--bus", "pty", "--rig", "binary.toml"], "binary.toml: is not text"),
+        (["--bus", "pty", "--watch", "--linear"], "--watch shows the pneumatic arm and no linear model"),
+        (["--bus", "pty", "--watch", "--plant", "vertical=paper"], "--watch shows the pneumatic arm"),
+        (["--bus", "pty", "--plant", "rotation=paper"], "output_unit: m, but axis rotation is in rad"),
     ],
 )
 def test_wrong_input_gives_a_message_without_a_traceback(
