@@ -1,7 +1,4 @@
-"""Supervision of both boards:
-
-their heartbeats, restarts and emergency messages, and what the gateway does then.
-"""
+"""Supervision of both boards: reactions to their heartbeats, restarts and emergency messages."""
 
 from __future__ import annotations
 
@@ -54,12 +51,9 @@ class BoardSupervision:
         """Return the state of both boards in words."""
         return "; ".join(f"{board.name} {board.describe()}" for board in self._both)
 
-    def begin_period(self) -> None:
-        """Allow one NMT start to each board in the period that begins."""
+    def begin_period(self, now_ns: int) -> Output:
+        """Begin a period: react to heartbeats that have timed out, and allow one NMT start to each board."""
         self._started.clear()
-
-    def check_timeouts(self, now_ns: int) -> Output:
-        """React to the heartbeats that have timed out."""
         lost = NOTHING
         for board in self._both:
             reason = board.check_timeout(now_ns)

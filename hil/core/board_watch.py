@@ -1,7 +1,4 @@
-"""Supervision of one board after CiA 301:
-
-boot-up, NMT state, heartbeat timeout, and emergency messages in words.
-"""
+"""State of one board after CiA 301: boot-up, NMT state, heartbeat timeout, and emergencies in words."""
 
 from __future__ import annotations
 

@@ -116,9 +116,8 @@ class Gateway:
         """
         skipped = self._clock.skipped_periods(now_ns)
         ended = self._end_period(skipped, now_ns)
-        timeouts = self._boards.check_timeouts(now_ns)
+        timeouts = self._boards.begin_period(now_ns)
         self._clock.begin_period(now_ns, skipped)
-        self._boards.begin_period()
         self._has_sample = False
         return combine(ended, timeouts, self._sync(now_ns), self._heartbeat(), self._centre_unless_running())
 
@@ -142,10 +141,7 @@ class Gateway:
         return self._receive_foreign(frame)
 
     def operate(self, trigger: Trigger, now_ns: int) -> Output:
-        """Take an operator's trigger:
-
-        arm, start, stop, disarm or reset. Refuse it if the state forbids it.
-        """
+        """Take an operator's trigger (arm, start, stop, disarm, reset), or refuse it in the present state."""
         if trigger not in OPERATOR_TRIGGERS or not self._state.allows(trigger):
             return self._state.refuse(trigger, self._boards.describe())
         changed = self._state.enter(trigger)
@@ -230,7 +226,10 @@ class Gateway:
     # Samples
 
     def _receive_sample(self, data: bytes, now_ns: int) -> Output:
-        verdict = self._guard.check(data, now_ns, is_strict=self._state.current is LifeCycleState.READY)
+        # In state ready nothing moves yet, and nobody may arm a rig with two senders.
+        is_ready = self._state.current is LifeCycleState.READY
+        check = self._guard.check_strictly if is_ready else self._guard.check
+        verdict = check(data, now_ns)
         lost = self._count_lost(verdict.lost_before) if verdict.lost_before else NOTHING
         if isinstance(verdict, Accepted):
             return combine(lost, self._use_sample(verdict, now_ns))
@@ -250,7 +249,7 @@ class Gateway:
             return self._control(sample.volts, now_ns)
         self._loops.observe(sample.volts)
         is_offline = self._state.current is LifeCycleState.OFFLINE
-        is_ready = is_offline and self._boards.are_fit and sample.is_sender_alone
+        is_ready = is_offline and self._boards.are_fit and not self._guard.suspects_second_sender
         changed = self._state.enter(Trigger.BOARDS_UP) if is_ready else NOTHING
         return combine(changed, Output(cycle=self._cycle(now_ns, True)))
 

@@ -1,7 +1,4 @@
-"""Results of a call to the gateway core:
-
-frames to send, log entries for people, and the signals of a period.
-"""
+"""What a call to the gateway core returns: frames to send, log entries, and the signals of a period."""
 
 from __future__ import annotations
 

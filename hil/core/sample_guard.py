@@ -59,8 +59,6 @@ class Accepted(NamedTuple):
     """Potentiometer voltages in volts, in the order of the rig's axes."""
     lost_before: int
     """Number of samples between the previous one and this one that did not arrive, by the board's counter."""
-    is_sender_alone: bool
-    """False if surplus answers came lately, so that a second node may send samples too."""
 
 
 class Rejected(NamedTuple):
@@ -75,15 +73,6 @@ class Rejected(NamedTuple):
 Verdict: TypeAlias = Accepted | Rejected
 
 
-class _Channel(NamedTuple):
-    """The potentiometer of one axis."""
-
-    axis: str
-    place: int
-    min_v: float
-    max_v: float
-
-
 class SampleGuard:
     """Guard of the samples of one ADC board. Times are nanoseconds on one monotonic clock."""
 
@@ -91,9 +80,9 @@ class SampleGuard:
         self._protected = rig.adc.protected
         self._length = codec.TPDO1_ADC_LENGTH if self._protected else codec.TPDO1_ADC_LENGTH - 2
         self._period_ns = rig.loop.period_ns
-        self._channels = tuple(
-            _Channel(name, axis.potentiometer.channel - 1, axis.potentiometer.min_v, axis.potentiometer.max_v)
-            for name, axis in rig.axes.items()
+        self._places = tuple(axis.potentiometer.channel - 1 for axis in rig.axes.values())
+        self._ranges = tuple(
+            (name, axis.potentiometer.min_v, axis.potentiometer.max_v) for name, axis in rig.axes.items()
         )
         self._matcher = SyncMatcher(rig.loop.period_ns, rig.adc.protected)
         self._surplus = SurplusAnswers()
@@ -123,19 +112,22 @@ class SampleGuard:
             self._surplus.sync_sent()
         return is_sent
 
-    def check(self, data: bytes, now_ns: int, *, is_strict: bool = False) -> Verdict:
-        """Check the data of a TPDO1_ADC frame that arrived at ``now_ns``.
+    @property
+    def suspects_second_sender(self) -> bool:
+        """Whether more answers than SYNCs came lately, so that a second node may send samples too."""
+        return self._surplus.is_suspected
 
-        With ``is_strict``, one surplus answer is enough to reject every sample until none has come for some
-        periods.
-        """
-        verdict = self._check_in_order(data, now_ns)
-        if is_strict and self._surplus.is_suspected and not _is_from_second_sender(verdict):
-            reason = f"TPDO1_ADC: more answers than SYNCs: {SECOND_NODE}"
-            return Rejected(reason, SECOND_SENDER, verdict.lost_before)
-        return verdict
+    def check_strictly(self, data: bytes, now_ns: int) -> Verdict:
+        """Check a frame as :meth:`check` does, and reject every sample while a second sender is suspected."""
+        verdict = self.check(data, now_ns)
+        is_certain = isinstance(verdict, Rejected) and verdict.severity is SECOND_SENDER
+        if is_certain or not self.suspects_second_sender:
+            return verdict
+        reason = f"TPDO1_ADC: more answers than SYNCs: {SECOND_NODE}"
+        return Rejected(reason, SECOND_SENDER, verdict.lost_before)
 
-    def _check_in_order(self, data: bytes, now_ns: int) -> Verdict:
+    def check(self, data: bytes, now_ns: int) -> Verdict:
+        """Check the data of a TPDO1_ADC frame that arrived at ``now_ns``."""
         damaged = self._check_integrity(data)
         if damaged is not None:
             return damaged
@@ -155,10 +147,7 @@ class SampleGuard:
         if match is not FRESH:
             return self._reject_match(match, step - 1)
         volts = self._decode(data)
-        for value, channel in zip(volts, self._channels, strict=True):
-            if not channel.min_v <= value <= channel.max_v:
-                return self._reject_range(channel, value, step - 1)
-        return Accepted(volts, step - 1, not self._surplus.is_suspected)
+        return self._check_range(volts, step - 1) or Accepted(volts, step - 1)
 
     def _check_integrity(self, data: bytes) -> Rejected | None:
         if len(data) != self._length:
@@ -177,7 +166,17 @@ class SampleGuard:
 
     def _decode(self, data: bytes) -> list[float]:
         sample = codec.decode_tpdo1_adc(data if self._protected else data + b"\0\0")
-        return [sample[channel.place] for channel in self._channels]
+        return [sample[place] for place in self._places]
+
+    def _check_range(self, volts: list[float], lost_before: int) -> Rejected | None:
+        for volt, (axis, min_v, max_v) in zip(volts, self._ranges, strict=True):
+            if not min_v <= volt <= max_v:
+                reason = (
+                    f"{axis}: potentiometer {volt:.3f} V, allowed {min_v:g} to {max_v:g} V "
+                    f"(rig: axes.{axis}.potentiometer): check for a broken wire or a short circuit"
+                )
+                return Rejected(reason, lost_before=lost_before)
+        return None
 
     def _reject_counter(self, data: bytes, step: int) -> Rejected:
         counter = data[6]
@@ -209,15 +208,3 @@ class SampleGuard:
             case _:
                 reason = "no SYNC is unanswered: the frame came twice, or was sent without SYNC"
         return Rejected(f"TPDO1_ADC: {reason}", lost_before=lost_before)
-
-    def _reject_range(self, channel: _Channel, volts: float, lost_before: int) -> Rejected:
-        axis, _, min_v, max_v = channel
-        return Rejected(
-            f"{axis}: potentiometer {volts:.3f} V, allowed {min_v:g} to {max_v:g} V "
-            f"(rig: axes.{axis}.potentiometer): check for a broken wire or a short circuit",
-            lost_before=lost_before,
-        )
-
-
-def _is_from_second_sender(verdict: Verdict) -> bool:
-    return isinstance(verdict, Rejected) and verdict.severity is SECOND_SENDER

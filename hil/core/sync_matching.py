@@ -1,27 +1,29 @@
 """Match each answer of the ADC board to the SYNC that it answers.
 
-The problem ----------- A command may leave only in answer to a fresh sample: the board took it at the last
-SYNC, and it arrived within one period. SYNC carries no number, and the answer (TPDO1_ADC) does not say
-which SYNC it answers. On a link that delays frames by 1.1 periods, the answer to the previous SYNC arrives
-0.1 periods after the last SYNC and looks like a quick answer to it. A loop that accepted it would have one
-period more of dead time than its controllers were designed for.
+The problem
+-----------
+A command may leave only in answer to a fresh sample: one that the board took at the last SYNC, and that
+arrived within one period of it. SYNC carries no number, and the answer (TPDO1_ADC) does not say which SYNC
+it answers. On a link that delays frames by 1.1 periods, the answer to the previous SYNC arrives 0.1 periods
+after the last SYNC and looks like a quick answer to it. A loop that accepted it would have one period more of
+dead time than its controllers were designed for.
 
 The board counts its answers. A step of the counter by more than one shows how many answers were lost on
 their way to the gateway. It does not show how many SYNCs were lost on their way to the board, because the
 board does not answer those. An answer that arrives while a later SYNC is still outstanding (sent, and not
 answered yet) has two explanations:
 
-    late:  the link is slow. The answer belongs to an earlier SYNC, and the answer to the later one follows.
-    lost:  the board missed a SYNC. The answer belongs to the last SYNC, and nothing follows.
+    late:  The link is slow. The answer belongs to an earlier SYNC, and the answer to the later one follows.
+    lost:  The board missed a SYNC. The answer belongs to the last SYNC, and no answer follows.
 
 The two differ only in what follows. Therefore the gateway sends no SYNC for some periods, and waits.
 
 The states
 ----------
-    SEARCHING        No answer has been fresh since the board started.
-    MATCHED          Answers are matched to SYNCs, and the last one belongs to the last SYNC.
-    BEHIND           Answers are matched to SYNCs, and the last one belongs to an earlier SYNC: late or lost?
-    RESYNCHRONISING  Answers were matched once. Since then a SYNC or an answer was lost.
+    SEARCHING        It is unknown which SYNC an answer belongs to. None was fresh since the board started.
+    MATCHED          Answers are matched to SYNCs. The last answer belonged to the last SYNC.
+    BEHIND           Answers are matched to SYNCs. The last answer belonged to an earlier SYNC: late or lost?
+    RESYNCHRONISING  It is unknown which SYNC an answer belongs to, because a SYNC or an answer was lost.
 
     state                 what happens                                               next state
     --------------------  ---------------------------------------------------------  ---------------
@@ -31,24 +33,28 @@ The states
     MATCHED, BEHIND       the answer belongs to an earlier SYNC                      BEHIND
     BEHIND                no further answer arrives in time (rule 3)                 RESYNCHRONISING
     MATCHED, no counter   a SYNC is not answered within its period (rule 6)          RESYNCHRONISING
-    any                   the board restarts, or more answers than SYNCs came        SEARCHING
+    any                   the board restarts                                         SEARCHING
+    MATCHED, BEHIND       the counter shows more answers than outstanding SYNCs      SEARCHING
+
+Everything else leaves the state unchanged.
 
 The rules
 ---------
 1.  An answer whose counter is n higher than that of the answer before belongs to the n-th oldest
     outstanding SYNC. The answers to the n - 1 older ones were lost. Reason: this is right if no SYNC was
-    lost. If one was lost, the answer is matched to a SYNC that is too old. It is then rejected although it
-    is fresh, but a late answer is never accepted.
+    lost. If one was lost, the answer is matched to a SYNC that is too old. The error is on the safe side: a
+    fresh answer is rejected, but a late one is not accepted.
 2.  While MATCHED, one SYNC leaves in every period, whether or not the SYNC before was answered. Reason:
-    with a counter, a lost answer does no harm, because the next answer shows it.
+    after a lost answer, the counter of the next answer shows the loss (rule 1).
 3.  While BEHIND, no SYNC leaves until the next answer would have arrived: after the last SYNC, the latency
-    of the last answer and one period have passed, or five periods at most. If an answer does arrive, the
-    link is slow, and rule 1 was right. If none arrives, the outstanding SYNCs were lost. Reason for the
-    extra period: the latency may vary by up to one period from frame to frame.
+    of the last answer and one period have passed, or five periods at most. If an answer arrives, the link
+    is slow, and rule 1 was right. If none arrives, the outstanding SYNCs are given up as lost. Reason for
+    the extra period: the latency may vary from frame to frame. A latency that rises by more than one period
+    during the wait is not detected.
 4.  While SEARCHING or RESYNCHRONISING, a SYNC leaves only when none is outstanding. One that is not
     answered for five periods is given up. Reason: an answer can then belong to one SYNC only, so its age is
-    known, and a link that is slower than one period never looks fresh. A latency of more than five periods
-    is not detected.
+    known, and an answer that takes longer than one period never looks fresh. A latency of more than five
+    periods is not detected.
 5.  Elapsed time alone does not end a wait (rules 3 and 4): at least two periods without SYNC must have
     begun. Reason: time also passes while this machine stalls. The board may have stalled with it, and
     frames that have arrived meanwhile have not been read yet.
@@ -56,8 +62,8 @@ The rules
     given up after three periods. Reason: nothing shows that an answer was lost, so two SYNCs must never be
     outstanding. A sample that arrives three or more periods late is not detected.
 7.  A SYNC that must not wait (it makes the DAC board apply a command that centres the valves) leaves at
-    once in any state. Reason: safety comes first, and rules 1 and 4 also hold when several SYNCs are
-    outstanding.
+    once in any state. Reason: safety comes first. Several SYNCs may then be outstanding while SEARCHING or
+    RESYNCHRONISING; rule 1 matches an answer to the oldest of them, which is the safe side.
 
 Two examples
 ------------
@@ -172,9 +178,9 @@ class SyncMatcher:
         return len(self._outstanding)
 
     def restart(self) -> None:
-        """Search again:
+        """Search again, because the board has restarted or its answers cannot be trusted.
 
-        the board has restarted, or answers cannot be trusted. Sent SYNCs may still be answered.
+        SYNCs that were sent before may still be answered.
         """
         self.state = _SEARCHING
 
