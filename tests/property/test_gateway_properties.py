@@ -19,8 +19,8 @@ from support.gateway_bench import (
     DAC_UP,
     START_NS,
     SYNC,
-    Bench,
-    HandGateway,
+    RigBench,
+    SteppedGateway,
     commands,
     make_gateway,
     make_rig,
@@ -220,7 +220,7 @@ class Subject:
         if self.core.state is LifeCycleState.RUNNING:
             assert commands(output) == []
         else:
-            assert len(commands(output)) == 1 + any(event.severity == 50 for event in output.log)
+            assert len(commands(output)) == 1 + any(entry.severity == 50 for entry in output.log)
 
     def receive(self, frame: Frame) -> None:
         now_ns = self.now_ns
@@ -251,10 +251,10 @@ class Subject:
     def check_life_cycle(self, before: LifeCycleState, output: Output, operated: Trigger | None) -> None:
         """Every change is in the table and told; only an operator arms, starts and resets."""
         state = before
-        for event in output.log:
-            if event.source != "life cycle" or "->" not in event.text:
+        for entry in output.log:
+            if entry.source != "life cycle" or "->" not in entry.text:
                 continue
-            told_before, _, rest = event.text.partition(" -> ")
+            told_before, _, rest = entry.text.partition(" -> ")
             told_after, _, told_trigger = rest.partition(" (")
             trigger = Trigger(told_trigger.rstrip(")"))
             assert state.name.lower() == told_before
@@ -315,7 +315,7 @@ def test_on_a_link_of_any_latency_only_what_answers_the_last_sync_in_time_is_tak
     is over a period and steps up by another; without a counter, one of three periods.
     """
     rig = make_rig({"adc.stale_after_periods": "60", "adc.protected": "true" if protected else "false"})
-    hand = HandGateway(rig)
+    hand = SteppedGateway(rig)
     latencies: list[float] = []
     for drawn, periods in stretches:
         latency = drawn if protected else min(drawn, UNCOUNTED_ANSWER_PERIODS - 0.5)
@@ -326,11 +326,11 @@ def test_on_a_link_of_any_latency_only_what_answers_the_last_sync_in_time_is_tak
     for number, latency in enumerate(latencies):
         while on_the_way and on_the_way[0][0] < hand.core.next_deadline_ns:
             hand.now_ns, asked_ns, answer = on_the_way.pop(0)
-            if hand.give(answer).cycle is not None:
+            if hand.receive(answer).cycle is not None:
                 assert asked_ns == sync_ns and hand.now_ns - sync_ns <= PERIOD_NS
                 taken += 1
         has_sync = SYNC in hand.deadline().frames
-        hand.give(ADC_UP, DAC_UP)
+        hand.receive(ADC_UP, DAC_UP)
         for trigger in (Trigger.ARM, Trigger.START, Trigger.RESET):
             hand.operate(trigger)
         if not has_sync:
@@ -372,7 +372,7 @@ def test_on_a_bus_that_loses_spoils_and_swaps_frames_the_valves_are_safe(
     rig: Rig, what: list[str], breakage: tuple[int, AdcFaults | DacFaults] | None
 ) -> None:
     """With the simulated boards: their pins stay within limits, and are centred once the gateway faults."""
-    bench = Bench(rig, LAWS[0], "ladder:0.1,-0.1@0/0.05").run()
+    bench = RigBench(rig, LAWS[0], "ladder:0.1,-0.1@0/0.05").run()
     verdicts = iter(what * 20)
     held: list[Frame] = []
 
