@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 from support.arm_files import arm_with
 from support.arm_reference import Drive, solve, state_of
+from support.constants import PERIOD_NS
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.parameters import shipped_arm
 
-PERIOD_NS = 11_200_000
 PERIODS = 2000
 ROUNDS = 5
 SAMPLE_S = 0.01

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.arm_files import AIRLESS, FRICTIONLESS, LIMITS, SEALED, arm_text, arm_with
+from support.constants import CENTRED
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.conditions import (
@@ -23,7 +24,6 @@ from firmware_sim.arm.parameters import AXES, GRAVITY_M_S2, ArmParameters, read_
 from hil.core.errors import DocumentError, SimulationError
 
 MILLISECOND_NS = 1_000_000
-CENTRED = (5.0, 5.0, 5.0)
 volts = st.floats(0.0, 10.0)
 commands = st.lists(st.tuples(volts, volts, volts), min_size=1, max_size=8)
 quick = settings(max_examples=25, deadline=None)

@@ -16,9 +16,8 @@ from firmware_sim.arm.conditions import AnyChange
 from firmware_sim.arm.parameters import ArmParameters, shipped_arm
 from hil.core.control_law import ControlLaw
 from hil.core.controller_file import PidLaw
+from support.constants import PERIOD_NS, PERIOD_S
 
-PERIOD_S = 0.0112
-PERIOD_NS = 11_200_000
 COUNTS = 4096
 
 Array = NDArray[np.float64]

@@ -13,15 +13,14 @@ from firmware_sim.boards.codec import encode_values
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.frames import Frame
 from hil.core.rig import DacSettings, Rig, read_rig
+from support.constants import PERIOD_NS
 
 SHIPPED: Rig = read_rig((files("hil.shipped") / "rig.toml").read_text(), "rig.toml")
 RIG: Rig = msgspec.structs.replace(
     SHIPPED,
     dac=DacSettings(protected=True, apply="at sync", watchdog_periods=5, heartbeat_timeout_periods=27),
 )
-PERIOD_NS = RIG.loop.period_ns
 HEARTBEAT_NS = 100_000_000
-CENTRED = (5.0, 5.0, 5.0)
 MS = 1_000_000
 
 SYNC = Frame(0x080)

@@ -28,9 +28,9 @@ from canopen.objectdictionary import (
 from firmware_sim import cli
 from firmware_sim.plants.linear_plant import LinearPlant
 from hil.core.rig import read_rig
+from support.constants import PERIOD_S
 
 LIMIT_S = 20
-PERIOD_S = 0.0112
 CENTRE = 16384
 VOLTS = 10 / 32768
 RIG = read_rig((files("hil.shipped") / "rig.toml").read_text(), "rig.toml")

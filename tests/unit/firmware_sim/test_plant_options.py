@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.arm_files import SHIPPED_TEXT
+from support.constants import CENTRED
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.event_text import parse_event
@@ -26,7 +27,6 @@ from hil.core.rig import read_rig
 
 RIG_TEXT = (files("hil.shipped") / "rig.toml").read_text()
 RIG = read_rig(RIG_TEXT, "rig.toml")
-CENTRED = (5.0, 5.0, 5.0)
 
 
 def options(*arguments: str) -> argparse.Namespace:

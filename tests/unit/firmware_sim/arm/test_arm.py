@@ -9,15 +9,13 @@ from pathlib import Path
 
 import pytest
 from support.arm_files import arm_with
+from support.constants import CENTRED, PERIOD_NS
 
 from firmware_sim.arm import native
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.parameters import shipped_arm
 from firmware_sim.plants.plant import Plant
 from hil.core.errors import EnvironmentLackError, SimulationError
-
-CENTRED = (5.0, 5.0, 5.0)
-PERIOD_NS = 11_200_000
 
 
 def test_it_is_a_plant_that_starts_at_rest() -> None:

@@ -2,6 +2,7 @@
 
 import pytest
 from support.arm_files import arm_with
+from support.constants import CENTRED
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.conditions import (
@@ -17,7 +18,6 @@ from firmware_sim.arm.conditions import (
 from firmware_sim.scenario import read_scenario
 from hil.core.errors import DocumentError
 
-CENTRED = (5.0, 5.0, 5.0)
 SECOND_NS = 1_000_000_000
 EVENTS = """
 title = "all that can change"
