@@ -1,8 +1,8 @@
-"""The independent SISO loops: potentiometer volts in, limited valve commands out, once a good sample.
+"""The independent control loops of the axes: potentiometer voltages in, limited valve commands out.
 
-Each axis has its setpoint, its control law and its potentiometer's scaling; nothing crosses between them.
-What leaves goes through ``limits`` alone. Which sample is good, and in which state a law may act, is the
-gateway's to decide.
+Each axis has its own setpoint, control law and potentiometer scaling. No signal crosses from one axis to
+another. Every command passes the limits of ``valve_commands``. The gateway decides which sample is used,
+and in which state the control laws act.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hil.core.valve_commands import ValveCommands
 
 
 class AxisLoop:
-    """One loop."""
+    """Setpoint, control law, scaling and last signals of one axis."""
 
     __slots__ = ("law", "name", "position", "setpoint", "signals")
 
@@ -33,7 +33,10 @@ class AxisLoop:
 
 
 class AxisLoops:
-    """All loops of a rig, in its order. ``laws`` and ``setpoints`` are by axis name."""
+    """The loops of all axes, in the order of the rig file.
+
+    ``laws`` and ``setpoints`` are given by axis name. Voltages are in volts, times in monotonic nanoseconds.
+    """
 
     def __init__(self, rig: Rig, laws: Mapping[str, ControlLaw], setpoints: Mapping[str, Setpoint]) -> None:
         self._axes = tuple(AxisLoop(rig, name, laws[name], setpoints[name]) for name in rig.axes)
@@ -41,57 +44,66 @@ class AxisLoops:
             [axis.valve for axis in rig.axes.values()], rig.loop.period_s, rig.dac.protected
         )
         self._period_s = rig.loop.period_s
-        self._began_ns: int | None = None
-        self._commanded_ns: int | None = None
+        self._start_ns: int | None = None
+        """Deadline of the first controlled period, at which the setpoints' time is 0."""
+        self._last_command_ns: int | None = None
 
     @property
     def signals(self) -> tuple[AxisSignals, ...]:
-        """What every axis last read and asked for."""
+        """Last signals of every axis."""
         return tuple([axis.signals for axis in self._axes])
 
-    def begin_anew(self) -> None:
-        """Let t = 0 be the next controlled period; every law takes over there without a bump."""
-        self._began_ns = self._commanded_ns = None
+    def restart(self) -> None:
+        """Begin at t = 0 with the next controlled period. Every control law then starts without a bump."""
+        self._start_ns = self._last_command_ns = None
 
     def control(self, volts: Sequence[float], deadline_ns: int, now_ns: int) -> AxisLoop | None:
-        """Run every law on its sample (V, in the rig's order), which came ``now_ns``, and limit its output.
+        """Run every control law on its sample, and limit its output.
 
-        ``deadline_ns`` is that of the period; setpoints are read at its time since the first controlled one.
-        Returns the axis whose output is not finite, if there is one: then nothing may leave but the centre.
+        ``volts`` are the potentiometer voltages, received at ``now_ns`` in the period of ``deadline_ns``. The
+        setpoints are evaluated at the time from the first controlled period to this one.
+
+        Returns None, or the first axis whose control law gave an output that is not finite. No command but
+        the one that centres the valves may then leave.
         """
-        is_first = self._began_ns is None
-        if self._began_ns is None:
-            self._began_ns = deadline_ns
-        t = (deadline_ns - self._began_ns) / 1e9
-        elapsed_s = self._period_s if self._commanded_ns is None else (now_ns - self._commanded_ns) / 1e9
-        self._valves.pace(elapsed_s)
-        self._commanded_ns = now_ns
-        for index, (axis, measured) in enumerate(zip(self._axes, volts, strict=True)):
-            r, y = axis.setpoint(t), axis.position(measured)
+        is_first = self._start_ns is None
+        if self._start_ns is None:
+            self._start_ns = deadline_ns
+        t = (deadline_ns - self._start_ns) / 1e9
+        self._valves.set_change_time(self._elapsed_s(now_ns))
+        self._last_command_ns = now_ns
+        for index, (axis, measured_v) in enumerate(zip(self._axes, volts, strict=True)):
+            r, y = axis.setpoint(t), axis.position(measured_v)
             if is_first:
                 axis.law.initialise(r, y, 0.0)
             u = axis.law.output(r, y)
             is_finite = math.isfinite(u)
             if is_finite:
                 axis.law.advance(self._valves.command(index, u))
-            axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured)
+            axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured_v)
             if not is_finite:
                 return axis
         return None
 
     def observe(self, volts: Sequence[float]) -> None:
-        """Read a sample that no law acts on: the setpoint is where the axis is."""
-        for axis, measured, command_v in zip(self._axes, volts, self._valves.volts, strict=True):
-            y = axis.position(measured)
-            axis.signals = AxisSignals(y, y, 0.0, 0.0, command_v, measured)
+        """Read a sample without control: each axis' setpoint follows its position."""
+        for axis, measured_v, command_v in zip(self._axes, volts, self._valves.volts, strict=True):
+            y = axis.position(measured_v)
+            axis.signals = AxisSignals(y, y, 0.0, 0.0, command_v, measured_v)
 
     def command(self) -> Frame:
-        """The frame that carries what the loops ask for, limited."""
+        """Return the frame with the limited commands of all axes."""
         return self._valves.frame()
 
     def centre(self) -> Frame:
-        """Centre every valve at once; returns the command that does."""
+        """Centre every valve at once, and return the frame that does so."""
         self._valves.centre()
         for axis, centre_v in zip(self._axes, self._valves.volts, strict=True):
             axis.signals = axis.signals._replace(command_v=centre_v)
         return self._valves.frame()
+
+    def _elapsed_s(self, now_ns: int) -> float:
+        """Return the time since the last controlled sample; one period before the second one."""
+        if self._last_command_ns is None:
+            return self._period_s
+        return (now_ns - self._last_command_ns) / 1e9

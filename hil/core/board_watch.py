@@ -1,4 +1,4 @@
-"""Supervision of one board after CiA 301: boot-up, NMT state, heartbeat time-out, EMCY in words."""
+"""State of one board after CiA 301: boot-up, NMT state, heartbeat timeout, and emergencies in words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,13 @@ from enum import IntEnum
 from hil.core.frames import Frame
 from hil.core.wire import codec
 
+ADC_NODE = 0x10
+"""CANopen node id of the potentiometer board."""
+DAC_NODE = 0x20
+"""CANopen node id of the valve board."""
+
 NMT_START = 1
+"""NMT command that makes a node operational."""
 
 EMERGENCIES = {
     0x1000: "generic error",
@@ -45,12 +51,15 @@ EMERGENCIES = {
     0xF000: "additional functions",
     0xFF00: "device specific",
 }
-"""CiA 301, table of emergency error codes; the last two digits, or three, may say more."""
+"""Meaning of an emergency error code (CiA 301).
+
+A code of which only the leading digits are listed is more specific.
+"""
 
 
 def describe_emergency(error_code: int, error_register: int, vendor: bytes) -> str:
-    """An EMCY object in words. ``vendor`` are its last five bytes, told where they say anything."""
-    known = next(
+    """Return an emergency message in words. ``vendor`` are its last five bytes; zeros are left out."""
+    meaning = next(
         (
             EMERGENCIES[error_code & mask]
             for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000)
@@ -58,12 +67,12 @@ def describe_emergency(error_code: int, error_register: int, vendor: bytes) -> s
         ),
         "unknown error",
     )
-    text = f"EMCY 0x{error_code:04X} ({known}), error register 0x{error_register:02X}"
+    text = f"EMCY 0x{error_code:04X} ({meaning}), error register 0x{error_register:02X}"
     return f"{text}, vendor bytes {vendor.hex(' ').upper()}" if any(vendor) else text
 
 
 class NmtState(IntEnum):
-    """States of a node in its heartbeat."""
+    """NMT state of a node, as its heartbeat carries it."""
 
     BOOT_UP = 0
     STOPPED = 4
@@ -72,31 +81,33 @@ class NmtState(IntEnum):
 
 
 class BoardWatch:
-    """What the gateway knows of one board from its heartbeats."""
+    """State of one board, from its heartbeats and emergency messages. Times are monotonic nanoseconds."""
 
     def __init__(self, name: str, node_id: int, timeout_ns: int, timeout_key: str) -> None:
+        """``timeout_key`` is the rig file's key that sets the timeout, for messages."""
         self.name = name
         self.node_id = node_id
         self._timeout_ns = timeout_ns
         self._timeout_key = timeout_key
-        self._last_ns: int | None = None
+        self._last_heartbeat_ns: int | None = None
         self.nmt_state: int | None = None
+        """NMT state in the last heartbeat; None before the first one and after a timeout."""
         self.error: str | None = None
-        """The last EMCY in words, until the board says that no error is left, or starts anew."""
+        """Last emergency in words; None if the board has reported that no error is left, or has restarted."""
 
     @property
     def is_up(self) -> bool:
-        """Whether its last heartbeat says operational and is not overdue."""
+        """Whether the last heartbeat says operational and has not timed out."""
         return self.nmt_state == NmtState.OPERATIONAL
 
     @property
     def is_fit(self) -> bool:
-        """Whether it is up and has no error left."""
+        """Whether the board is up and has no error."""
         return self.is_up and self.error is None
 
     def heartbeat(self, nmt_state: int, now_ns: int) -> Frame | None:
-        """Take a heartbeat; returns the NMT command that starts the board where it is not operational."""
-        self._last_ns = now_ns
+        """Take a heartbeat. Return the NMT command that starts the board, or None if it is operational."""
+        self._last_heartbeat_ns = now_ns
         self.nmt_state = nmt_state
         if nmt_state == NmtState.BOOT_UP:
             self.error = None
@@ -104,12 +115,15 @@ class BoardWatch:
             return None
         return Frame(codec.NMT, codec.encode_nmt(NMT_START, self.node_id))
 
-    def overdue(self, now_ns: int) -> str | None:
-        """Why the board counts as lost, once: its heartbeat stopped. None while all is well."""
-        if self._last_ns is None or now_ns - self._last_ns <= self._timeout_ns:
+    def check_timeout(self, now_ns: int) -> str | None:
+        """Return the reason why the board counts as lost if its heartbeat has timed out, else None.
+
+        A board that has timed out is reported once, and is watched again after its next heartbeat.
+        """
+        if self._last_heartbeat_ns is None or now_ns - self._last_heartbeat_ns <= self._timeout_ns:
             return None
-        silent_ms = (now_ns - self._last_ns) / 1e6
-        self._last_ns = None
+        silent_ms = (now_ns - self._last_heartbeat_ns) / 1e6
+        self._last_heartbeat_ns = None
         self.nmt_state = None
         return (
             f"no heartbeat for {silent_ms:.0f} ms, limit {self._timeout_ns / 1e6:.0f} ms "
@@ -117,7 +131,7 @@ class BoardWatch:
         )
 
     def describe(self) -> str:
-        """The board's state in words."""
+        """Return the board's state in words."""
         if self.nmt_state is None:
             return "silent"
         try:

@@ -1,4 +1,4 @@
-"""CAN frames as plain values: what the gateway, the boards and the links hand to each other."""
+"""CAN frames as plain values, which the gateway, the simulated boards and the links exchange."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 
 class Frame(NamedTuple):
-    """A classic CAN frame: ``id`` 11 or 29 bit, ``data`` of 0 to 8 bytes.
+    """A classic CAN frame: an identifier of 11 or 29 bits and 0 to 8 bytes of data.
 
-    An error frame of the bus (``is_error``) carries its error class in ``id`` and its details in
-    ``data``, as ``linux/can/error.h`` lays them out.
+    An error frame (``is_error``) carries its error class in ``id`` and the details in ``data``, in the
+    layout of ``linux/can/error.h``.
     """
 
     id: int
@@ -19,6 +19,6 @@ class Frame(NamedTuple):
     is_error: bool = False
 
     def __str__(self) -> str:
-        """As candump prints it: ``190#00400040…``."""
+        """Return the frame in the notation of candump, such as ``190#00400040``."""
         identifier = f"{self.id:08X}" if self.is_extended or self.is_error else f"{self.id:03X}"
         return f"{identifier}#" + ("R" if self.is_remote else self.data.hex().upper())

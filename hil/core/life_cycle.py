@@ -1,4 +1,7 @@
-"""The gateway's life cycle as a table: what may follow what. No behaviour lives here."""
+"""The gateway's life cycle as a table of transitions.
+
+The gateway acts on it; this module has no behaviour.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +9,25 @@ from enum import IntEnum, StrEnum
 
 
 class LifeCycleState(IntEnum):
-    """States of the gateway. Only RUNNING lets a controller move a valve; elsewhere valves are centred."""
+    """State of the gateway.
+
+    A controller moves a valve only in RUNNING; in every other state valves are centred.
+    """
 
     OFFLINE = 0
-    """The boards are not all up."""
+    """A board is missing or has an error, or no good sample has arrived."""
     READY = 1
-    """Boards operational, samples good."""
+    """Both boards are operational and samples are good."""
     ARMED = 2
-    """An operator has allowed motion; valves still centred."""
+    """An operator has allowed motion. The valves are still centred."""
     RUNNING = 3
-    """Controllers act on the valves."""
+    """The controllers act on the valves."""
     FAULT = 4
-    """Latched; valves centred; leaves by an operator's reset alone."""
+    """A fault has been latched and the valves are centred. Only an operator's reset leaves this state."""
 
 
 class Trigger(StrEnum):
-    """What moves the life cycle."""
+    """Cause of a transition of the life cycle."""
 
     BOARDS_UP = "boards up"
     BOARDS_LOST = "boards lost"
@@ -34,6 +40,7 @@ class Trigger(StrEnum):
 
 
 OPERATOR_TRIGGERS = frozenset({Trigger.ARM, Trigger.START, Trigger.STOP, Trigger.DISARM, Trigger.RESET})
+"""Triggers that an operator gives. The gateway itself causes the others."""
 
 TRANSITIONS: dict[tuple[LifeCycleState, Trigger], LifeCycleState] = {
     (LifeCycleState.OFFLINE, Trigger.BOARDS_UP): LifeCycleState.READY,
@@ -48,13 +55,14 @@ TRANSITIONS: dict[tuple[LifeCycleState, Trigger], LifeCycleState] = {
     (LifeCycleState.RUNNING, Trigger.FAULT): LifeCycleState.FAULT,
     (LifeCycleState.FAULT, Trigger.RESET): LifeCycleState.OFFLINE,
 }
+"""Every allowed transition: (state, trigger) to the next state."""
 
 
 def next_state(state: LifeCycleState, trigger: Trigger) -> LifeCycleState | None:
-    """The state after ``trigger``, or None where the table has no such transition."""
+    """Return the state after ``trigger``, or None if the table has no such transition."""
     return TRANSITIONS.get((state, trigger))
 
 
 def allowed_triggers(state: LifeCycleState) -> tuple[Trigger, ...]:
-    """What an operator may ask for in ``state``."""
-    return tuple(t for (s, t) in TRANSITIONS if s is state and t in OPERATOR_TRIGGERS)
+    """Return the triggers that an operator may give in ``state``."""
+    return tuple(trigger for (s, trigger) in TRANSITIONS if s is state and trigger in OPERATOR_TRIGGERS)

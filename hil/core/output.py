@@ -1,4 +1,4 @@
-"""What the gateway reports besides frames: events for people, and a cycle of signals every period."""
+"""What a call to the gateway core returns: frames to send, log entries, and the signals of a period."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from hil.core.frames import Frame
 
 
 class Severity(IntEnum):
-    """Levels of ``rcl_interfaces/msg/Log``, so that viewers colour them."""
+    """Severity of a log entry.
+
+    The numbers are the levels of ``rcl_interfaces/msg/Log``, so viewers colour them.
+    """
 
     INFO = 20
     WARNING = 30
@@ -18,67 +21,106 @@ class Severity(IntEnum):
 
 
 class LogEntry(NamedTuple):
-    """Something a person wants to read. ``source`` is a board, an axis or ``life cycle``."""
+    """A message for people.
+
+    ``source`` is the part that it is about: a board, an axis, ``bus``, ``life cycle``.
+    """
 
     severity: Severity
     source: str
     text: str
 
 
-class LogThrottle:
-    """Keeps what comes with every frame from filling a recording: tells the first few of a kind, then those
-    at which its number doubles.
-    """
-
-    FIRST = 8
-
-    def __init__(self) -> None:
-        self._numbers: dict[str, int] = {}
-
-    def should_report(self, kind: str) -> bool:
-        """Count one more of ``kind``; whether it is to be told."""
-        self._numbers[kind] = number = self._numbers.get(kind, 0) + 1
-        return number <= self.FIRST or number.bit_count() == 1
-
-    def forget(self) -> None:
-        """Begin anew."""
-        self._numbers.clear()
-
-
 class AxisSignals(NamedTuple):
-    """One axis in one period. r, y, e in the axis' unit; voltages in volts."""
+    """Signals of one axis in one period. Setpoint, position and error are in the axis' unit (m or rad)."""
 
     setpoint: float
+    """Setpoint r."""
     position: float
+    """Measured output y."""
     error: float
+    """Control error e = r - y."""
     output_v: float
-    """u, the control law's output before the limits: offset from the valve's centre."""
+    """Manipulated variable u before the limits, in volts: the offset from the valve's centre voltage."""
     command_v: float
-    """The valve voltage that left, after the limits, before quantisation: centre + limited u."""
+    """Commanded valve voltage in volts, after the limits and before quantisation: centre + limited u."""
     potentiometer_v: float
+    """Potentiometer voltage in volts that the position was computed from."""
 
 
 class Cycle(NamedTuple):
-    """One period of the core. Instants are on the shell's monotonic clock, in nanoseconds."""
+    """One period of the loop. Times are nanoseconds on the shell's monotonic clock."""
 
     number: int
+    """Number of the period. Skipped periods are counted too."""
     deadline_ns: int
-    """When SYNC was due."""
+    """Time at which SYNC was due."""
     wake_ns: int
-    """The time that ``on_deadline`` was given; SYNC left right after."""
+    """Time that ``Gateway.on_deadline`` was given. SYNC leaves right after it."""
     receive_ns: int
-    """The time that ``receive`` was given with the sample; 0 when the period had none."""
+    """Time that ``Gateway.receive`` was given with the sample; 0 in a period without a good sample."""
     state: int
-    """``life_cycle.State`` after the period."""
+    """The :class:`~hil.core.life_cycle.LifeCycleState` after the period, as a number."""
     fresh: bool
-    """Whether a good sample arrived; without one, the last signals are held."""
+    """True if a good sample arrived in this period. If False, ``axes`` repeats the last signals."""
     axes: tuple[AxisSignals, ...]
-    """In the rig file's order."""
+    """Signals of each axis, in the order of the rig file."""
 
 
 class Output(NamedTuple):
-    """What a call to the core gives back: frames to send at once, in order, and what to report."""
+    """Result of one call to the gateway core."""
 
     frames: tuple[Frame, ...] = ()
+    """Frames to send at once, in this order."""
     log: tuple[LogEntry, ...] = ()
+    """Log entries to record and show, in this order."""
     cycle: Cycle | None = None
+    """The period that this call completed, if it completed one."""
+
+
+NOTHING = Output()
+"""Output of a call that has no effect."""
+
+
+def combine(*outputs: Output) -> Output:
+    """Join outputs in order: frames after frames, log entries after log entries, and the last cycle."""
+    joined = NOTHING
+    for output in outputs:
+        if joined is NOTHING:
+            joined = output
+        elif output is not NOTHING:
+            joined = Output(
+                joined.frames + output.frames, joined.log + output.log, output.cycle or joined.cycle
+            )
+    return joined
+
+
+class LogThrottle:
+    """Limits how many log entries of one kind are reported.
+
+    A fault that repeats with every frame would otherwise fill the recording. The first eight entries of a
+    kind are reported, then only those whose number is a power of two.
+    """
+
+    ALWAYS_REPORTED = 8
+
+    def __init__(self) -> None:
+        self._counts: dict[str, int] = {}
+
+    def report(self, severity: Severity, source: str, text: str, kind: str = "") -> Output:
+        """Return a log entry, or nothing if enough of its ``kind`` have been reported.
+
+        By default, entries of one severity and source are one kind.
+        """
+        if not self.should_report(kind or f"{severity} {source}"):
+            return NOTHING
+        return Output(log=(LogEntry(severity, source, text),))
+
+    def should_report(self, kind: str) -> bool:
+        """Count one more entry of ``kind`` and return whether this one is reported."""
+        self._counts[kind] = count = self._counts.get(kind, 0) + 1
+        return count <= self.ALWAYS_REPORTED or count.bit_count() == 1
+
+    def reset(self) -> None:
+        """Set the count of every kind to zero."""
+        self._counts.clear()

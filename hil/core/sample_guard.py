@@ -1,186 +1,210 @@
-"""Guards on every sample: only a sound, expected, fresh TPDO1 becomes a position.
+"""Checks of every TPDO1_ADC frame. Only an undamaged, expected and fresh sample becomes voltages.
 
-Fresh is what answers the last SYNC, within a period. A board counts its answers, so each is laid beside the
-SYNC that it answers if none was lost; where a later SYNC is then still unanswered, the answer is late, or the
-board missed a SYNC. No SYNC leaves until the next answer would have come, a period later even than that: if
-none does, a SYNC was lost. Then, as in the beginning, one SYNC at once is under way until an answer has come
-in time, so that a link slower than a period never looks fresh. Of a board without a counter every SYNC that
-is not answered in its period is followed by such a wait.
+A frame passes the checks in this order, and the first one that it fails is reported:
 
-A board gives one answer to a SYNC. More answers, or two things said under one number, say that the board is
-not alone.
+1.  Length, and CRC if the board is protected. A damaged frame changes nothing but the number of rejected
+    frames.
+2.  Number of answers. More answers than SYNCs in several periods come from a second node
+    (``surplus_answers``).
+3.  Counter. It must advance by 1 to 127. A repeated counter is a frame that arrived twice. The same counter
+    with other voltages, or a counter that shows more answers than SYNCs were sent, comes from a second
+    node.
+4.  Freshness. The sample must answer the last SYNC, and arrive within one period of it (``sync_matching``).
+5.  Range of each potentiometer's voltage: broken wires and short circuits.
 
-A rejected sample is reported with its reason and counts as none. Nothing here decides what a missing sample
-means: the gateway does.
+The verdict is :class:`Accepted` or :class:`Rejected`. A rejected frame counts as no sample. What follows
+from a missing sample is decided by the gateway. A second sender is more than a missing sample: from then on
+no sample can be trusted, because it may come from either node.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from enum import Enum
+from typing import NamedTuple, TypeAlias
 
 from hil.core.rig import Rig
+from hil.core.surplus_answers import SURPLUS_PERIODS_LIMIT, SurplusAnswers
+from hil.core.sync_matching import (
+    ANSWER_TIMEOUT_PERIODS,
+    FRESH,
+    MAX_COUNTER_STEP,
+    Earlier,
+    Match,
+    SyncMatcher,
+    TooMany,
+    TooOld,
+)
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
 
-FARTHEST_STEP = 127
-"""Of the counter: beyond it, it went back."""
-FIRST_ANSWER_PERIODS = 5
-"""No answer is waited for longer, and a link that takes longer is not told from one that answers in time."""
-LEAST_SILENT_PERIODS = 2
-"""But so many at least, whatever time went by: a stall of this machine may be one of the board, too."""
-UNCOUNTED_ANSWER_PERIODS = 3
-"""The same of a board without a counter, once it has answered in time."""
+SECOND_NODE = "another node sends the same identifier; check the node ids"
 
 
-MOST_SURPLUS = 3
-"""A board that answers twice in so many periods is two."""
-NOT_ALONE = "another node sends it too, perhaps one of the same node id"
+class RejectionSeverity(Enum):
+    """Consequence of a rejection."""
+
+    LOST_SAMPLE = "lost sample"
+    """This sample cannot be used. The next one may be good."""
+    SECOND_SENDER = "second sender"
+    """A second node sends TPDO1_ADC. No sample can be trusted."""
 
 
-class Unasked(str):
-    """The reason of a rejection that is more than a lost sample: what is fresh can no longer be told."""
+LOST_SAMPLE, SECOND_SENDER = RejectionSeverity.LOST_SAMPLE, RejectionSeverity.SECOND_SENDER
+
+
+class Accepted(NamedTuple):
+    """Verdict on a good sample."""
+
+    volts: list[float]
+    """Potentiometer voltages in volts, in the order of the rig's axes."""
+    lost_before: int
+    """Number of samples between the previous one and this one that did not arrive, by the board's counter."""
+
+
+class Rejected(NamedTuple):
+    """Verdict on a frame that must not be used."""
+
+    reason: str
+    severity: RejectionSeverity = LOST_SAMPLE
+    lost_before: int = 0
+    """Number of samples between the previous one and this one that did not arrive, by the board's counter."""
+
+
+Verdict: TypeAlias = Accepted | Rejected
 
 
 class SampleGuard:
-    """Checks of TPDO1_ADC, in the order length, CRC, counter, which SYNC, age, range."""
+    """Guard of the samples of one ADC board. Times are nanoseconds on one monotonic clock."""
 
     def __init__(self, rig: Rig) -> None:
         self._protected = rig.adc.protected
         self._length = codec.TPDO1_ADC_LENGTH if self._protected else codec.TPDO1_ADC_LENGTH - 2
         self._period_ns = rig.loop.period_ns
-        self._channels = tuple(
-            (axis.potentiometer.channel - 1, axis.potentiometer.min_v, axis.potentiometer.max_v, name)
-            for name, axis in rig.axes.items()
+        self._places = tuple(axis.potentiometer.channel - 1 for axis in rig.axes.values())
+        self._ranges = tuple(
+            (name, axis.potentiometer.min_v, axis.potentiometer.max_v) for name, axis in rig.axes.items()
         )
-        self._counter: int | None = None
-        self._data = b""
-        self._is_matched = False
-        """Whether it is known which SYNC an answer belongs to."""
-        self._has_matched = False
-        """Whether it once was, since the board started."""
-        self._unanswered: deque[int] = deque(maxlen=FARTHEST_STEP)
-        """When the SYNCs left that have no answer, if every answer so far belongs to the oldest."""
-        self._silent_periods = 0
-        self._late_answer_ns: int | None = None
-        """How long after its SYNC the last answer came, where that was not the last SYNC."""
-        self.lost = 0
-        """Frames that the counter says were sent and did not come, or not intact."""
-        self._owed = 0
-        self._has_surplus = False
-        self.surplus = 0
-        """Periods with more intact answers than SYNCs, whatever they count, less the periods without."""
+        self._matcher = SyncMatcher(rig.loop.period_ns, rig.adc.protected)
+        self._surplus = SurplusAnswers()
+        self._last_counter: int | None = None
+        """Counter of the last frame that passed the counter check.
 
-    def forget(self) -> None:
-        """Expect any counter next: the board has restarted. What was asked before may still be answered."""
-        self._counter = None
-        self._is_matched = self._has_matched = False
+        None before the first and after a restart.
+        """
+        self._last_data = b""
+
+    def restart(self) -> None:
+        """Accept any counter next, because the board has restarted.
+
+        SYNCs from before may still be answered.
+        """
+        self._last_counter = None
+        self._matcher.restart()
 
     def begin_period(self, now_ns: int, may_wait: bool) -> bool:
-        """Whether SYNC leaves now: not while an earlier one may be answered yet, unless it may not wait."""
-        if not self._has_surplus:
-            self.surplus = max(self.surplus - 1, 0)
-        self._has_surplus = False
-        if self._awaits_answer(now_ns) and may_wait:
-            self._silent_periods += 1
-            return False
-        self._silent_periods = 0
-        self._unanswered.append(now_ns)
-        self._owed = min(self._owed + 1, FIRST_ANSWER_PERIODS)
-        return True
+        """Begin a period and return whether SYNC leaves in it.
 
-    def _awaits_answer(self, now_ns: int) -> bool:
-        unanswered = self._unanswered
-        longest_ns = FIRST_ANSWER_PERIODS * self._period_ns
-        if not self._protected and self._has_matched:
-            longest_ns = UNCOUNTED_ANSWER_PERIODS * self._period_ns
-            self._is_matched = self._is_matched and not unanswered
-        may_know = self._silent_periods >= LEAST_SILENT_PERIODS
-        if not self._is_matched:
-            while unanswered and may_know and now_ns - unanswered[0] >= longest_ns:
-                unanswered.popleft()
-            return len(unanswered) > 0
-        if self._late_answer_ns is None or not unanswered:
-            return False
-        if not may_know or now_ns - unanswered[-1] < min(self._late_answer_ns + self._period_ns, longest_ns):
-            return True
-        unanswered.clear()  # the last answer was in time, to the SYNC before it; others were lost
-        self._is_matched = False
-        return False
+        SYNC waits while an earlier one may still be answered, unless it may not wait.
+        """
+        self._surplus.begin_period()
+        is_sent = self._matcher.begin_period(now_ns, may_wait)
+        if is_sent:
+            self._surplus.sync_sent()
+        return is_sent
 
-    def check(self, data: bytes, now_ns: int) -> list[float] | str:
-        """Potentiometer voltages in the rig's order of axes, or the reason of the rejection."""
+    @property
+    def suspects_second_sender(self) -> bool:
+        """Whether more answers than SYNCs came lately, so that a second node may send samples too."""
+        return self._surplus.is_suspected
+
+    def check_strictly(self, data: bytes, now_ns: int) -> Verdict:
+        """Check a frame as :meth:`check` does, and reject every sample while a second sender is suspected."""
+        verdict = self.check(data, now_ns)
+        is_certain = isinstance(verdict, Rejected) and verdict.severity is SECOND_SENDER
+        if is_certain or not self.suspects_second_sender:
+            return verdict
+        reason = f"TPDO1_ADC: more answers than SYNCs: {SECOND_NODE}"
+        return Rejected(reason, SECOND_SENDER, verdict.lost_before)
+
+    def check(self, data: bytes, now_ns: int) -> Verdict:
+        """Check the data of a TPDO1_ADC frame that arrived at ``now_ns``."""
+        damaged = self._check_integrity(data)
+        if damaged is not None:
+            return damaged
+        if self._surplus.answer_received():
+            reason = f"TPDO1_ADC: more answers than SYNCs in {SURPLUS_PERIODS_LIMIT} periods: {SECOND_NODE}"
+            return Rejected(reason, SECOND_SENDER)
+        step = self._counter_step(data)
+        if not 1 <= step <= MAX_COUNTER_STEP:
+            return self._reject_counter(data, step)
+        match = self._matcher.match(step, now_ns)
+        if isinstance(match, TooMany):
+            rejected = self._reject_too_many(data, match)
+            self.restart()
+            return rejected
+        if self._protected:
+            self._last_counter, self._last_data = data[6], data
+        if match is not FRESH:
+            return self._reject_match(match, step - 1)
+        volts = self._decode(data)
+        return self._check_range(volts, step - 1) or Accepted(volts, step - 1)
+
+    def _check_integrity(self, data: bytes) -> Rejected | None:
         if len(data) != self._length:
-            return f"TPDO1_ADC has {len(data)} bytes, not {self._length} (rig: adc.protected)"
-        step = 1
+            return Rejected(f"TPDO1_ADC has {len(data)} bytes, not {self._length} (rig: adc.protected)")
         if self._protected:
             crc = crc8_j1850(data[:7])
             if crc != data[7]:
-                return f"TPDO1_ADC: CRC 0x{data[7]:02X}, computed 0x{crc:02X}"
-        self._count()
-        if self.surplus >= MOST_SURPLUS:
-            return Unasked(f"TPDO1_ADC: {MOST_SURPLUS} periods with more answers than SYNCs: {NOT_ALONE}")
-        if self._protected:
-            if self._counter is not None:
-                step = (data[6] - self._counter) & 0xFF
-                complaint = self._counter_complaint(data, step)
-                if complaint:
-                    return complaint
-                self.lost += step - 1
-            self._counter, self._data = data[6], data
-        elif self._is_matched:
-            step = len(self._unanswered)
-        if not self._unanswered:
-            return "TPDO1_ADC: no SYNC is unanswered: it came twice, or unasked"
-        age_ns = self._match(step, now_ns)
-        if self._unanswered:
-            return (
-                f"TPDO1_ADC: answers an earlier SYNC, {len(self._unanswered)} before the last: it is late, "
-                "or the board missed a SYNC"
-            )
-        if age_ns > self._period_ns:
-            return (
-                f"TPDO1_ADC: {age_ns / 1e6:.2f} ms after SYNC exceeds {self._period_ns / 1e6:g} ms "
-                "(rig: loop.period_s)"
-            )
-        self._is_matched = self._has_matched = True
+                return Rejected(f"TPDO1_ADC: CRC 0x{data[7]:02X}, computed 0x{crc:02X}")
+        return None
+
+    def _counter_step(self, data: bytes) -> int:
+        """Return the counter difference to the frame before, modulo 256; 1 if there is nothing to compare."""
+        if not self._protected or self._last_counter is None:
+            return 1
+        return (data[6] - self._last_counter) & 0xFF
+
+    def _decode(self, data: bytes) -> list[float]:
         sample = codec.decode_tpdo1_adc(data if self._protected else data + b"\0\0")
-        volts = [sample[channel] for channel, _, _, _ in self._channels]
-        for value, (_, lowest, highest, axis) in zip(volts, self._channels, strict=True):
-            if not lowest <= value <= highest:
-                return (
-                    f"{axis}: potentiometer {value:.3f} V outside {lowest:g} to {highest:g} V "
-                    f"(rig: axes.{axis}.potentiometer), broken wire or short"
+        return [sample[place] for place in self._places]
+
+    def _check_range(self, volts: list[float], lost_before: int) -> Rejected | None:
+        for volt, (axis, min_v, max_v) in zip(volts, self._ranges, strict=True):
+            if not min_v <= volt <= max_v:
+                reason = (
+                    f"{axis}: potentiometer {volt:.3f} V, allowed {min_v:g} to {max_v:g} V "
+                    f"(rig: axes.{axis}.potentiometer): check for a broken wire or a short circuit"
                 )
-        return volts
+                return Rejected(reason, lost_before=lost_before)
+        return None
 
-    def _count(self) -> None:
-        """Set an intact answer against the SYNCs."""
-        if self._owed > 0:
-            self._owed -= 1
-        elif not self._has_surplus:
-            self._has_surplus = True
-            self.surplus = min(self.surplus + 1, 2 * MOST_SURPLUS)
-
-    def _counter_complaint(self, data: bytes, step: int) -> str:
+    def _reject_counter(self, data: bytes, step: int) -> Rejected:
         counter = data[6]
-        if step == 0 and not self._unanswered and data != self._data:
-            return Unasked(f"TPDO1_ADC: counter {counter} came twice, with other values: {NOT_ALONE}")
-        if step == 0:
-            return f"TPDO1_ADC: counter {counter} repeated"
-        if step > FARTHEST_STEP:
-            return f"TPDO1_ADC: counter went back from {self._counter} to {counter}: an old sample"
-        if self._is_matched and step > len(self._unanswered):
-            before, awaited = self._counter, len(self._unanswered)
-            self.forget()
-            return Unasked(
-                f"TPDO1_ADC: counter {counter} after {before}, but {awaited} SYNC unanswered: {NOT_ALONE}, "
-                f"or the board sends unasked, or later than {FIRST_ANSWER_PERIODS} periods"
+        if step > MAX_COUNTER_STEP:
+            return Rejected(
+                f"TPDO1_ADC: counter went backwards from {self._last_counter} to {counter}: an old sample"
             )
-        return ""
+        if data != self._last_data and self._matcher.outstanding == 0:
+            reason = f"TPDO1_ADC: counter {counter} twice, with different voltages: {SECOND_NODE}"
+            return Rejected(reason, SECOND_SENDER)
+        return Rejected(f"TPDO1_ADC: counter {counter} repeated")
 
-    def _match(self, step: int, now_ns: int) -> int:
-        """Lay an answer beside the SYNC that it belongs to, ``step`` further on; returns its age."""
-        for _ in range(min(step, len(self._unanswered))):
-            age_ns = now_ns - self._unanswered.popleft()
-        self._late_answer_ns = age_ns if self._unanswered else None
-        return age_ns
+    def _reject_too_many(self, data: bytes, match: TooMany) -> Rejected:
+        return Rejected(
+            f"TPDO1_ADC: counter {data[6]} after {self._last_counter}, but {match.outstanding} SYNCs "
+            f"are unanswered: {SECOND_NODE}, or the board sends without SYNC, or it answers later than "
+            f"{ANSWER_TIMEOUT_PERIODS} periods",
+            SECOND_SENDER,
+        )
+
+    def _reject_match(self, match: Match, lost_before: int) -> Rejected:
+        match match:
+            case Earlier(later_syncs):
+                before = f"{later_syncs} before the last"
+                reason = f"answers an earlier SYNC, {before}: it is late, or the board missed a SYNC"
+            case TooOld(age_ns):
+                limit = f"limit {self._period_ns / 1e6:g} ms (rig: loop.period_s)"
+                reason = f"arrived {age_ns / 1e6:.2f} ms after SYNC, {limit}"
+            case _:
+                reason = "no SYNC is unanswered: the frame came twice, or was sent without SYNC"
+        return Rejected(f"TPDO1_ADC: {reason}", lost_before=lost_before)

@@ -1,7 +1,7 @@
 """The lockstep shell: gateway and simulated boards in one process, in simulated time.
 
-Time jumps to the next deadline of either side; frames cross in no time and in order. The same setup gives the
-same calls on every run.
+Time jumps to the next deadline of either side. Frames arrive at once and in order. The same setup gives the
+same calls in every run.
 """
 
 from __future__ import annotations
@@ -15,17 +15,27 @@ from hil.shells.session import Session
 
 
 class Boards(Protocol):
-    """The far side of the bus: a core like the gateway's own."""
+    """The boards at the other end of the bus:
+
+    a core without I/O, as the gateway is. Times are nanoseconds.
+    """
 
     @property
-    def next_deadline_ns(self) -> int: ...  # noqa: D102
-    def start(self, now_ns: int) -> tuple[Frame, ...]: ...  # noqa: D102
-    def receive(self, frame: Frame, now_ns: int) -> tuple[Frame, ...]: ...  # noqa: D102
-    def on_deadline(self, now_ns: int) -> tuple[Frame, ...]: ...  # noqa: D102
+    def next_deadline_ns(self) -> int:
+        """Time at which ``on_deadline`` is to be called next."""
+
+    def start(self, now_ns: int) -> tuple[Frame, ...]:
+        """Switch the boards on, and return the frames that they send."""
+
+    def receive(self, frame: Frame, now_ns: int) -> tuple[Frame, ...]:
+        """Take a frame from the gateway, and return the frames that the boards send."""
+
+    def on_deadline(self, now_ns: int) -> tuple[Frame, ...]:
+        """Serve the boards' deadline, and return the frames that they send."""
 
 
 class Lockstep:
-    """A bus without wires and the clock of both sides."""
+    """A bus without delay, and the common clock of gateway and boards."""
 
     def __init__(self, boards: Boards, start_ns: int) -> None:
         self._boards = boards
@@ -33,16 +43,16 @@ class Lockstep:
         self._to_boards: deque[Frame] = deque()
 
     def send(self, frame: Frame) -> bool:
-        """Take what the gateway sends; True: this bus refuses nothing."""
+        """Take a frame from the gateway. Return True, because this bus refuses none."""
         self._to_boards.append(frame)
         return True
 
     def clock_ns(self) -> int:
-        """Simulated time."""
+        """Return the simulated time in nanoseconds."""
         return self._now_ns
 
     def run(self, session: Session, stop: StopRequest) -> None:
-        """Step until the session's plan is over."""
+        """Step from deadline to deadline until the session's plan is over."""
         boards, gateway = self._boards, session.gateway
         self._deliver(session, boards.start(self._now_ns))
         while not session.plan.is_over:
@@ -57,7 +67,7 @@ class Lockstep:
                     session.plan.end(Ending.INTERRUPTED)
 
     def _deliver(self, session: Session, to_gateway: tuple[Frame, ...]) -> None:
-        """Carry frames both ways until the bus is silent."""
+        """Deliver frames in both directions until none is left."""
         now_ns, waiting, boards = self._now_ns, self._to_boards, self._boards
         while True:
             for frame in to_gateway:

@@ -1,8 +1,8 @@
 """The real-time shell: CLOCK_MONOTONIC, absolute deadlines, one thread, one link.
 
-A late wake-up is followed by one period, never by a burst. Frames that wait are taken before a late deadline
-is served, so that an answer to the last SYNC is not mistaken for one to the next. However a run ends, the
-valves are centred, as far as anything can still be sent.
+A late wake-up is followed by one period, never by a burst of periods. Frames that wait are read before a
+late deadline is served, so that the answer to the last SYNC is not taken for an answer to the next one.
+However a run ends, the valves are centred, as long as anything can still be sent.
 """
 
 from __future__ import annotations
@@ -17,62 +17,67 @@ from hil.links import Link
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, StopRequest
 from hil.shells.session import Session
 
-MOST_WAITING_FRAMES = 64
-"""Frames taken from a backlog before a due deadline is served all the same."""
-CENTRING_PATIENCE_NS = 1_000_000_000
-"""After a failure, centring is tried for so long: the board's watchdog has centred the valves by then."""
+MAX_WAITING_FRAMES = 64
+"""Number of waiting frames that are read before a deadline that is due is served all the same."""
+CENTRING_TIMEOUT_NS = 1_000_000_000
+"""Time for which centring is tried after a failure. Then the board's watchdog has centred the valves."""
 
 
 def run(session: Session, link: Link, stop: StopRequest) -> Exception | None:
-    """Run until the session's plan is over. A failing link ends the run, and so does an error in here.
+    """Run until the session's plan is over, the link fails, or an internal error occurs.
 
-    Returns that error: a mistake of this program, or of a library, to be reported.
+    Returns the internal error, for a report, or None. It is a defect of this program or of a library.
     """
-    unreadable = _Unreadable()
+    unreadable = _UnreadableFrames(session, link)
     while not session.plan.is_over:
         try:
-            _one_step(session, link)
-            unreadable.tell(session, link)
+            _step(session, link)
+            unreadable.report()
         except LinkError as error:
             _end(session, link, Ending.LINK, str(error))
             return None
         except Exception as error:
             text = f"{type(error).__name__}: {error}"
             _end(session, link, Ending.ERROR, f"internal error: {text}")
-            session.note(LogEntry(Severity.FATAL, "hil", f"internal error, the run was ended: {text}"))
+            session.note(LogEntry(Severity.FATAL, "hil", f"an internal error ended the run: {text}"))
             return error
         if stop.is_set:
             session.plan.end(Ending.INTERRUPTED)
     return None
 
 
-class _Unreadable:
-    """Tells of what the link discards: the first, then whenever its number has doubled."""
+class _UnreadableFrames:
+    """Reports the frames that the link discards: the first one, then each time their number has doubled."""
 
-    def __init__(self) -> None:
-        self._next = 1
+    def __init__(self, session: Session, link: Link) -> None:
+        self._session = session
+        self._link = link
+        self._next_reported = 1
 
-    def tell(self, session: Session, link: Link) -> None:
-        if link.unreadable < self._next:
+    def report(self) -> None:
+        """Report the discarded frames if there are enough new ones."""
+        count = self._link.unreadable
+        if count < self._next_reported:
             return
-        self._next = 2 * link.unreadable
-        text = f"{link.unreadable} unreadable frames discarded so far: none of classic CAN, or garbled"
-        session.note(LogEntry(Severity.WARNING, "link", text))
+        self._next_reported = 2 * count
+        text = f"{count} unreadable frames discarded so far: not classic CAN, or corrupt"
+        self._session.note(LogEntry(Severity.WARNING, "link", text))
 
 
-def _one_step(session: Session, link: Link) -> None:
-    """Take what arrives before the next deadline, or serve the deadline."""
+def _step(session: Session, link: Link) -> None:
+    """Take one frame that arrives before the next deadline, or serve the deadline."""
     remaining_ns = session.gateway.next_deadline_ns - monotonic_ns()
     if remaining_ns > 0:
-        _take(session, link, remaining_ns * 1e-9)
+        _receive(session, link, remaining_ns * 1e-9)
         return
-    for _ in range(MOST_WAITING_FRAMES):
-        if not _take(session, link, 0.0):
+    for _ in range(MAX_WAITING_FRAMES):
+        if not _receive(session, link, 0.0):
             break
     session.on_deadline(monotonic_ns())
 
 
-def _take(session: Session, link: Link, timeout_s: float) -> bool:
+def _receive(session: Session, link: Link, timeout_s: float) -> bool:
+    """Give the session one frame from the link. Return False if none arrived in time."""
     received = link.receive(timeout_s)
     if received is None:
         return False
@@ -81,29 +86,37 @@ def _take(session: Session, link: Link, timeout_s: float) -> bool:
 
 
 def _end(session: Session, link: Link, ending: Ending, reason: str) -> None:
-    """Fault, then centre the valves for some periods, on a link that is opened anew where it fails; tell."""
-    end_ns = monotonic_ns() + CENTRING_PATIENCE_NS
-    may_go_on = _attempt(link, lambda: session.failed(ending, reason))
-    while may_go_on and session.commands_taken < CENTRING_PERIODS and monotonic_ns() < end_ns:
+    """Fault, then send the command that centres the valves for some periods, and report whether it was sent.
+
+    A link that fails is opened again.
+    """
+    end_ns = monotonic_ns() + CENTRING_TIMEOUT_NS
+    may_continue = _attempt(link, lambda: session.end_with_failure(ending, reason))
+    while may_continue and session.commands_taken < CENTRING_PERIODS and monotonic_ns() < end_ns:
         sleep(max(session.gateway.next_deadline_ns - monotonic_ns(), 0) * 1e-9)
-        may_go_on = _attempt(link, lambda: session.on_deadline(monotonic_ns()))
-    taken = session.commands_taken
-    if taken >= CENTRING_PERIODS:
-        event = LogEntry(Severity.INFO, "link", f"the valves were centred: the command left {taken} times")
-    else:
-        text = f"the command that centres the valves left {taken} times, not {CENTRING_PERIODS}"
-        watchdog = "the DAC board's watchdog has to centre them (rig: dac.watchdog_periods)"
-        event = LogEntry(Severity.ERROR, "link", f"{text}: {watchdog}")
-    session.note(event)
+        may_continue = _attempt(link, lambda: session.on_deadline(monotonic_ns()))
+    session.note(_describe_centring(session.commands_taken))
 
 
-def _attempt(link: Link, act: Callable[[], None]) -> bool:
-    """Try to send; where the link fails, open it anew. False: this program itself fails."""
+def _attempt(link: Link, action: Callable[[], None]) -> bool:
+    """Try to send. Open the link again if it fails. Return False after an internal error."""
     try:
-        act()
+        action()
     except LinkError:
         with contextlib.suppress(LinkError):
             link.reopen()
     except Exception:
         return False
     return True
+
+
+def _describe_centring(commands_sent: int) -> LogEntry:
+    if commands_sent >= CENTRING_PERIODS:
+        text = f"the valves were centred: the command was sent {commands_sent} times"
+        return LogEntry(Severity.INFO, "link", text)
+    return LogEntry(
+        Severity.ERROR,
+        "link",
+        f"the command that centres the valves was sent {commands_sent} times, not {CENTRING_PERIODS}: "
+        "the DAC board's watchdog has to centre them (rig: dac.watchdog_periods)",
+    )

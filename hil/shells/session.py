@@ -1,4 +1,4 @@
-"""What every live shell does around a call to the core: send what it answers, record both, tell people."""
+"""What every live shell does around a call to the core: send, record and show what the core returns."""
 
 from __future__ import annotations
 
@@ -15,18 +15,24 @@ from hil.recording.recorder import LINK_FAILED, NOT_SENT, Recorder
 from hil.shells.run_plan import Ending, RunPlan
 
 
-class Audience(Protocol):
-    """Whoever watches a run; must never block."""
+class Observer(Protocol):
+    """Recipient of a run's log entries and periods, such as a display. Its methods must never block."""
 
-    def log(self, event: LogEntry) -> None: ...  # noqa: D102
-    def cycle(self, cycle: Cycle, gateway: Gateway) -> None: ...  # noqa: D102
+    def log(self, entry: LogEntry) -> None:
+        """Take a log entry."""
+
+    def cycle(self, cycle: Cycle, gateway: Gateway) -> None:
+        """Take a completed period of ``gateway``."""
 
 
 class Session:
-    """One run: the core, the bus it sends on, its recording and its audience.
+    """One run: the core, its plan, the bus on which it sends, its recorder and its observer.
 
-    ``send`` says whether the bus took the frame. After ``most_refused`` valve commands in a row that it did
-    not take (None: never), the link counts as failed: the valves hold meanwhile.
+    ``send`` returns False if the bus does not take the frame because its queue is full. After
+    ``max_refused_commands`` valve commands in a row that were not taken, the link counts as failed, because
+    the valves hold meanwhile; None means no limit. ``clock_ns`` returns monotonic nanoseconds.
+
+    Methods that give something to the core raise LinkError if the link has failed.
     """
 
     def __init__(
@@ -36,62 +42,77 @@ class Session:
         send: Callable[[Frame], bool],
         clock_ns: Callable[[], int],
         recorder: Recorder,
-        audience: Audience,
-        most_refused: int | None = None,
+        observer: Observer,
+        max_refused_commands: int | None = None,
     ) -> None:
         self.gateway = gateway
         self.plan = plan
         self._send = send
         self._clock_ns = clock_ns
         self._recorder = recorder
-        self._audience = audience
-        self._most_refused = most_refused
-        self._refused = self._refused_in_row = 0
+        self._observer = observer
+        self._max_refused_commands = max_refused_commands
+        self._sent_ns = 0
+        """Time at which the last frame was handed to the bus."""
+        self._refused_frames = self._refused_commands_in_row = 0
         self._throttle = LogThrottle()
         self.commands_taken = 0
-        """Valve commands that the bus took, since the run began or ``failed`` was called."""
+        """Number of valve commands that the bus took, since the run began or has failed."""
 
     def on_deadline(self, now_ns: int) -> None:
-        """Begin a period, then let the plan act."""
+        """Begin a period, then give the core the trigger that the plan asks for."""
         self._recorder.deadline_called(self.gateway.next_deadline_ns, now_ns)
-        self._answer(self.gateway.on_deadline(now_ns), now_ns)
+        self._handle(self.gateway.on_deadline(now_ns), now_ns)
         trigger = self.plan.after_period(self.gateway)
         if trigger is not None:
             self.operate(trigger)
 
     def receive(self, frame: Frame, now_ns: int, stamp_ns: int) -> None:
-        """Give a frame to the core."""
+        """Give the core a frame that the link stamped ``stamp_ns`` and that was read at ``now_ns``."""
         self._recorder.frame_received(frame, now_ns, stamp_ns)
-        self._answer(self.gateway.receive(frame, now_ns), now_ns)
+        self._handle(self.gateway.receive(frame, now_ns), now_ns)
 
     def operate(self, trigger: Trigger) -> None:
-        """Give an operator's trigger to the core."""
+        """Give the core an operator's trigger."""
         now_ns = self._clock_ns()
         self._recorder.operated(trigger.value, now_ns)
-        self._answer(self.gateway.operate(trigger, now_ns), now_ns)
+        self._handle(self.gateway.operate(trigger, now_ns), now_ns)
 
-    def failed(self, ending: Ending, reason: str) -> None:
-        """Tell the core that the link, or this program, failed: it centres the valves, and the run is over.
+    def end_with_failure(self, ending: Ending, reason: str) -> None:
+        """End the run because the link or this program failed. The core faults and centres the valves.
 
-        What an unfinished answer had not given yet is lost. Raises LinkError where nothing can leave.
+        Frames of an earlier call that were not sent yet are discarded.
         """
         now_ns = self._clock_ns()
         self.plan.fail(ending)
-        self.commands_taken = self._refused_in_row = 0
+        self.commands_taken = self._refused_commands_in_row = 0
         self._recorder.operated(LINK_FAILED + reason, now_ns)
-        self._answer(self.gateway.link_failed(reason), now_ns)
+        self._handle(self.gateway.link_failed(reason), now_ns)
 
-    def note(self, event: LogEntry) -> None:
-        """Record and show something that the shell has to say."""
-        self._recorder.log_entry(event, self._clock_ns())
-        self._audience.log(event)
+    def note(self, entry: LogEntry) -> None:
+        """Record and show a log entry of the shell itself."""
+        self._recorder.log_entry(entry, self._clock_ns())
+        self._observer.log(entry)
 
-    def _answer(self, output: Output, now_ns: int) -> None:
-        frames, events, cycle = output
-        recorder = self._recorder
-        computed_ns = sent_ns = self._clock_ns()
+    def _handle(self, output: Output, now_ns: int) -> None:
+        """Send, record and show what the core returned for a call at ``now_ns``."""
+        computed_ns = self._sent_ns = self._clock_ns()
+        refused_before = self._refused_frames
+        failure = self._send_frames(output.frames) if output.frames else None
+        for entry in output.log:
+            self._recorder.log_entry(entry, now_ns)
+            self._observer.log(entry)
+        if output.cycle is not None:
+            self._complete(output.cycle, computed_ns)
+        if self._refused_frames != refused_before:
+            self._report_refused()
+            failure = failure or self._check_refused_commands()
+        if failure is not None:
+            raise failure
+
+    def _send_frames(self, frames: tuple[Frame, ...]) -> LinkError | None:
+        """Send and record frames in order. Return the first error; frames after it are tried all the same."""
         failure: LinkError | None = None
-        refused_before = self._refused
         for frame in frames:
             try:
                 is_taken = self._send(frame)
@@ -99,39 +120,42 @@ class Session:
                 is_taken, failure = False, failure or error
             else:
                 self._count(frame, is_taken)
-            sent_ns = self._clock_ns()
+            sent_ns = self._sent_ns = self._clock_ns()
             if is_taken:
-                recorder.frame_sent(frame, sent_ns)
+                self._recorder.frame_sent(frame, sent_ns)
             else:
-                recorder.operated(f"{NOT_SENT}{frame}", sent_ns)
-        for event in events:
-            recorder.log_entry(event, now_ns)
-            self._audience.log(event)
-        if cycle is not None:
-            recorder.cycle(cycle, computed_ns, sent_ns)
-            self._audience.cycle(cycle, self.gateway)
-            news = recorder.hand_over()
-            if news is not None:
-                self._audience.log(news)
-        if self._refused != refused_before and self._throttle.should_report("refused"):
-            text = f"the bus took no frame, its queue is full: {self._refused} frames not sent so far"
-            self.note(LogEntry(Severity.WARNING, "link", text))
-        if failure is None and self._most_refused is not None and self._refused_in_row >= self._most_refused:
-            failure = LinkError(
-                f"{self._refused_in_row} valve commands in a row were not sent, limit {self._most_refused} "
-                "(rig: adc.stale_after_periods): the bus' queue stays full; is another node there to "
-                "acknowledge, and is the cable whole?"
-            )
-        if failure is not None:
-            raise failure
+                self._recorder.operated(f"{NOT_SENT}{frame}", sent_ns)
+        return failure
 
     def _count(self, frame: Frame, is_taken: bool) -> None:
-        """Keep account of what the bus takes."""
+        """Count a frame that the bus took or refused."""
         is_command = frame.id == RPDO1_DAC
-        if is_taken:
-            if is_command:
-                self.commands_taken += 1
-                self._refused_in_row = 0
-            return
-        self._refused += 1
-        self._refused_in_row += is_command
+        if not is_taken:
+            self._refused_frames += 1
+            self._refused_commands_in_row += is_command
+        elif is_command:
+            self.commands_taken += 1
+            self._refused_commands_in_row = 0
+
+    def _complete(self, cycle: Cycle, computed_ns: int) -> None:
+        """Record and show a completed period, and let the recorder pass on what it has."""
+        self._recorder.cycle(cycle, computed_ns, self._sent_ns)
+        self._observer.cycle(cycle, self.gateway)
+        news = self._recorder.hand_over()
+        if news is not None:
+            self._observer.log(news)
+
+    def _report_refused(self) -> None:
+        if self._throttle.should_report("refused"):
+            text = f"the bus' transmit queue is full: {self._refused_frames} frames not sent so far"
+            self.note(LogEntry(Severity.WARNING, "link", text))
+
+    def _check_refused_commands(self) -> LinkError | None:
+        limit = self._max_refused_commands
+        if limit is None or self._refused_commands_in_row < limit:
+            return None
+        return LinkError(
+            f"{self._refused_commands_in_row} valve commands in a row were not sent, limit {limit} "
+            "(rig: adc.stale_after_periods): the bus' transmit queue stays full; check the cable, and that "
+            "another node is there to acknowledge frames"
+        )

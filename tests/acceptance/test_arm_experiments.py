@@ -12,7 +12,8 @@ import pytest
 from scipy.signal import cont2discrete, tf2ss
 from support.arm_bench import identify, prbs
 from support.arm_files import SHIPPED_TEXT
-from support.shipped_rig import PERIOD_NS, PERIOD_S, SHIPPED_RIG
+from support.constants import PERIOD_NS, PERIOD_S
+from support.shipped_rig import SHIPPED_RIG
 
 from hil.cli import main
 from hil.core.life_cycle import LifeCycleState

@@ -13,6 +13,7 @@ import control
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.constants import PERIOD_S
 from support.drawn_curves import drawn_curves
 
 from design.closed_loop.comparison import Candidate
@@ -36,7 +37,6 @@ from hil.views.summary import StepResponse, summarise
 
 Values = NDArray[np.float64]
 
-PERIOD_S = 0.0112
 STEP_M = 0.015
 """Small enough that the kick of ZN's derivative stays within the valve's range and rate."""
 STEP_AT_PERIOD = 10
@@ -70,17 +70,17 @@ def drawn(written: Path, name: str) -> tuple[Values, Values]:
 
 
 class Running:
-    """An audience that keeps what the vertical axis measured while running."""
+    """An observer that keeps what the vertical axis measured while running."""
 
     def __init__(self) -> None:
         self.r: list[float] = []
         self.y: list[float] = []
 
-    def log(self, event: LogEntry) -> None:
-        """See Audience."""
+    def log(self, entry: LogEntry) -> None:
+        """See Observer."""
 
     def cycle(self, cycle: Cycle, _gateway: Gateway) -> None:
-        """See Audience."""
+        """See Observer."""
         if cycle.state is LifeCycleState.RUNNING and cycle.fresh:
             self.r.append(cycle.axes[0].setpoint)
             self.y.append(cycle.axes[0].position)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import control
 import numpy as np
 import pytest
+from support.constants import PERIOD_S
 
 from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
@@ -17,12 +18,11 @@ from hil.shells.run_plan import Ending, RunPlan, StopRequest
 from hil.shells.run_setup import RunSetup, load_setup, setup_from_texts
 from hil.shells.session import Session
 
-PERIOD_S = 0.0112
 PAPER_PLANT = control.tf(0.47947 * np.array([1.0, 90.76]), np.polymul([1.0, 0.4231], [1.0, 16.97, 167.9]))
 
 
 class Cycles:
-    """A recorder and an audience that keeps the cycles of a run."""
+    """A recorder and an observer in one, which keeps the cycles of a run."""
 
     def __init__(self) -> None:
         self.running: list[Cycle] = []
@@ -31,7 +31,8 @@ class Cycles:
         if cycle.state is LifeCycleState.RUNNING and (not self.running or self.running[-1] is not cycle):
             self.running.append(cycle)
 
-    def log(self, _event: LogEntry, _now_ns: int = 0) -> None: ...
+    def log(self, _entry: LogEntry) -> None: ...
+    def log_entry(self, _entry: LogEntry, _now_ns: int) -> None: ...
     def frame_received(self, _frame: Frame, _now_ns: int, _stamp_ns: int) -> None: ...
     def frame_sent(self, _frame: Frame, _now_ns: int) -> None: ...
     def deadline_called(self, _deadline_ns: int, _now_ns: int) -> None: ...

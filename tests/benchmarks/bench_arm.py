@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 from support.arm_files import arm_with
 from support.arm_reference import Drive, solve, state_of
-from support.shipped_rig import PERIOD_NS
+from support.constants import PERIOD_NS
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.arm_file import shipped_arm

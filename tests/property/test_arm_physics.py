@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.arm_files import AIRLESS, FRICTIONLESS, LIMITS, SEALED, arm_text, arm_with
-from support.shipped_rig import CENTRED
+from support.constants import CENTRED
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.arm_file import read_arm

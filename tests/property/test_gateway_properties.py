@@ -1,7 +1,7 @@
-"""The gateway core under anything at all: any frames, any times, any operator.
+"""The gateway core under arbitrary frames, times and operator's triggers.
 
-It never raises; whatever it sends to the valves is within their limits, and centred in every state but
-running; its life cycle follows the table; the same calls give the same answers.
+It never raises. Every command is within the valves' limits, and centred in every state but running. The life
+cycle follows its table. The same calls give the same outputs.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from typing import NamedTuple, TypeAlias
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.constants import COUNT_V, PERIOD_NS
 from support.gateway_bench import (
     ADC_UP,
     AXES,
     DAC_UP,
     START_NS,
     SYNC,
-    Bench,
-    HandGateway,
+    RigBench,
+    SteppedGateway,
     commands,
     make_gateway,
     make_rig,
@@ -34,17 +35,14 @@ from hil.core.gateway import Gateway
 from hil.core.life_cycle import TRANSITIONS, LifeCycleState, Trigger
 from hil.core.output import Output
 from hil.core.rig import Rig
-from hil.core.sample_guard import FIRST_ANSWER_PERIODS, UNCOUNTED_ANSWER_PERIODS
+from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS, UNCOUNTED_ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
-
-COUNT_V = 10.0 / 32768
-PERIOD_NS = 11_200_000
 
 LAWS: tuple[Law, ...] = (
     PidLaw(kp=20.0, ki=50.0, kd=1.0, tau_d=0.02),
     PidLaw(kp=-1e6, ki=0.0),
-    TransferFunctionLaw(num=[1e9], den=[1.0, -1e9]),  # reaches infinity
+    TransferFunctionLaw(num=[1e9], den=[1.0, -1e9]),  # its output becomes infinite
     TransferFunctionLaw(num=[1.0, 0.0], den=[1.0, 1.0]),
 )
 RIGS = tuple(
@@ -71,12 +69,12 @@ class Deadline(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The board's next sample, spoilt in one of the ways that the guards know."""
+    """The board's next sample, possibly damaged in a way that the sample guard detects."""
 
     counts: tuple[int, int, int]
     after_ns: int
     skipped: int
-    spoilt: str
+    damage: str
 
 
 class Arrival(NamedTuple):
@@ -92,13 +90,13 @@ class LinkFailure(NamedTuple):
 
 
 class BringUp(NamedTuple):
-    """What it takes to run, so that running is not a rare state."""
+    """The steps that lead to ``until``, so that running is not a rare state."""
 
     until: LifeCycleState
 
 
 class Periods(NamedTuple):
-    """Sound periods: deadline, heartbeats, a sample each."""
+    """Good periods: a deadline, heartbeats and a sample each."""
 
     counts: tuple[tuple[int, int, int], ...]
 
@@ -148,7 +146,7 @@ steps: st.SearchStrategy[Step] = st.one_of(
 
 
 class Subject:
-    """A gateway, the steps turned into calls, and what must hold after each."""
+    """A gateway, the steps as calls of it, and the properties that must hold after each call."""
 
     def __init__(self, rig: Rig, law: Law) -> None:
         self.rig = rig
@@ -195,32 +193,32 @@ class Subject:
             self.receive(frame)
 
     def sample(self, step: Sample) -> Frame:
-        self.counter += 1 + step.skipped - (step.spoilt == "repeated")
+        self.counter += 1 + step.skipped - (step.damage == "repeated")
         volts = [count * COUNT_V for count in step.counts]
         frame = sample_frame(volts, self.counter, protected=self.rig.adc.protected)
-        if step.spoilt == "crc":
+        if step.damage == "crc":
             return frame._replace(data=frame.data[:-1] + bytes((frame.data[-1] ^ 0x10,)))
-        return frame._replace(data=frame.data[:-1]) if step.spoilt == "length" else frame
+        return frame._replace(data=frame.data[:-1]) if step.damage == "length" else frame
 
     def deadline(self) -> None:
         now_ns, due_ns = self.now_ns, self.core.next_deadline_ns
         output, state = self.call(lambda core: core.on_deadline(now_ns)), self.core.state
-        # Some periods may pass without SYNC, but never one whose command has to be applied.
+        # Some periods may have no SYNC, but never one whose command must be applied.
         has_sync = SYNC in output.frames
         assert output.frames.count(SYNC) <= 1
         assert has_sync or (state is self.state_before and state is not LifeCycleState.FAULT)
         is_very_late = now_ns > due_ns and (now_ns - due_ns) % PERIOD_NS > PERIOD_NS // 2
         if not is_very_late:
             self.silent_periods = 0 if has_sync else self.silent_periods + 1
-        assert self.silent_periods <= FIRST_ANSWER_PERIODS
+        assert self.silent_periods <= ANSWER_TIMEOUT_PERIODS
         self.state_before = self.core.state
-        # The next one lies on the same grid, ahead, and at most a period away from the present or the due.
+        # The next deadline is on the same grid, and within one period after this call or the last deadline.
         assert (self.core.next_deadline_ns - due_ns) % PERIOD_NS == 0
         assert max(now_ns, due_ns) < self.core.next_deadline_ns <= max(now_ns, due_ns) + PERIOD_NS
         if self.core.state is LifeCycleState.RUNNING:
             assert commands(output) == []
         else:
-            assert len(commands(output)) == 1 + any(event.severity == 50 for event in output.log)
+            assert len(commands(output)) == 1 + any(entry.severity == 50 for entry in output.log)
 
     def receive(self, frame: Frame) -> None:
         now_ns = self.now_ns
@@ -249,24 +247,24 @@ class Subject:
         return output
 
     def check_life_cycle(self, before: LifeCycleState, output: Output, operated: Trigger | None) -> None:
-        """Every change is in the table and told; only an operator arms, starts and resets."""
+        """Every change is in the table and reported. Only an operator arms, starts and resets."""
         state = before
-        for event in output.log:
-            if event.source != "life cycle" or "->" not in event.text:
+        for entry in output.log:
+            if entry.source != "life cycle" or "->" not in entry.text:
                 continue
-            told_before, _, rest = event.text.partition(" -> ")
-            told_after, _, told_trigger = rest.partition(" (")
-            trigger = Trigger(told_trigger.rstrip(")"))
-            assert state.name.lower() == told_before
+            text_before, _, rest = entry.text.partition(" -> ")
+            text_after, _, text_trigger = rest.partition(" (")
+            trigger = Trigger(text_trigger.rstrip(")"))
+            assert state.name.lower() == text_before
             state = TRANSITIONS[state, trigger]
-            assert state.name.lower() == told_after
+            assert state.name.lower() == text_after
             if trigger in (Trigger.ARM, Trigger.START, Trigger.RESET, Trigger.STOP, Trigger.DISARM):
                 assert trigger is operated
         assert state is self.core.state
         assert (self.core.fault_reason is not None) == (state is LifeCycleState.FAULT)
 
     def check_command(self, frame: Frame) -> None:
-        """Within the limits, at the rate, centred unless running, counted, protected."""
+        """A command is within the limits and the rate, centred unless running, counted and protected."""
         assert not (frame.is_extended or frame.is_remote or frame.is_error)
         assert len(frame.data) == (8 if self.rig.dac.protected else 6)
         volts = list(commands(Output((frame,)))[0])
@@ -279,7 +277,7 @@ class Subject:
             step = abs(sent - self.sent_v[name])
             assert is_centred or step <= valve.max_rate_v_s * self.rig.loop.period_s + COUNT_V
             self.sent_v[name] = sent
-        assert volts == [5.0, 5.0, 5.0]  # what no axis uses
+        assert volts == [5.0, 5.0, 5.0]  # channels without an axis
         if self.rig.dac.protected:
             assert frame.data[6] == self.rpdo_counter & 0xFF
             assert frame.data[7] == crc8_j1850(frame.data[:7])
@@ -288,7 +286,7 @@ class Subject:
 
 @given(st.sampled_from(RIGS), st.sampled_from(LAWS), st.lists(steps, min_size=12, max_size=60))
 @settings(max_examples=250, deadline=None)
-def test_whatever_comes_the_valves_are_safe_and_the_answers_are_the_same(
+def test_under_arbitrary_calls_the_valves_are_safe_and_the_outputs_repeatable(
     rig: Rig, law: Law, sequence: Sequence[Step]
 ) -> None:
     subject = Subject(rig, law)
@@ -306,36 +304,36 @@ def test_whatever_comes_the_valves_are_safe_and_the_answers_are_the_same(
     st.booleans(),
 )
 @settings(max_examples=500, deadline=None)
-def test_on_a_link_of_any_latency_only_what_answers_the_last_sync_in_time_is_taken(
+def test_on_a_link_of_any_latency_only_timely_answers_to_the_last_sync_are_accepted(
     stretches: list[tuple[float, int]], fates: list[str], random: Random, protected: bool
 ) -> None:
-    """Latency, in periods, steps from one value to another and jitters by up to 0.4; frames are lost.
+    """The latency (in periods) steps from value to value and jitters by up to 0.4; frames are lost.
 
-    What no guard can tell does not come here: a lost SYNC close to a step of the latency, and a latency that
-    is over a period and steps up by another; without a counter, one of three periods.
+    Cases that cannot be detected are left out: a lost SYNC close to a step of the latency, and a latency of
+    more than one period that rises by another. Without a counter, also a latency of three periods.
     """
     rig = make_rig({"adc.stale_after_periods": "60", "adc.protected": "true" if protected else "false"})
-    hand = HandGateway(rig)
+    gateway = SteppedGateway(rig)
     latencies: list[float] = []
     for drawn, periods in stretches:
-        latency = drawn if protected else min(drawn, UNCOUNTED_ANSWER_PERIODS - 0.5)
+        latency = drawn if protected else min(drawn, UNCOUNTED_ANSWER_TIMEOUT_PERIODS - 0.5)
         is_late = latencies and latencies[-1] > 0.55
         latencies += [min(latency, latencies[-1]) if is_late else latency] * periods
     on_the_way: list[tuple[int, int, Frame]] = []
     counter = taken = sync_ns = 0
     for number, latency in enumerate(latencies):
-        while on_the_way and on_the_way[0][0] < hand.core.next_deadline_ns:
-            hand.now_ns, asked_ns, answer = on_the_way.pop(0)
-            if hand.give(answer).cycle is not None:
-                assert asked_ns == sync_ns and hand.now_ns - sync_ns <= PERIOD_NS
+        while on_the_way and on_the_way[0][0] < gateway.core.next_deadline_ns:
+            gateway.now_ns, answered_sync_ns, answer = on_the_way.pop(0)
+            if gateway.receive(answer).cycle is not None:
+                assert answered_sync_ns == sync_ns and gateway.now_ns - sync_ns <= PERIOD_NS
                 taken += 1
-        has_sync = SYNC in hand.deadline().frames
-        hand.give(ADC_UP, DAC_UP)
+        has_sync = SYNC in gateway.deadline().frames
+        gateway.receive(ADC_UP, DAC_UP)
         for trigger in (Trigger.ARM, Trigger.START, Trigger.RESET):
-            hand.operate(trigger)
+            gateway.operate(trigger)
         if not has_sync:
             continue
-        sync_ns = hand.now_ns
+        sync_ns = gateway.now_ns
         is_settled = set(latencies[max(number - 12, 0) : number + 12]) == {latency}
         fate = fates[number % len(fates)]
         if fate == "SYNC lost" and is_settled:
@@ -347,7 +345,7 @@ def test_on_a_link_of_any_latency_only_what_answers_the_last_sync_in_time_is_tak
         arrival_ns = sync_ns + round(jittered * PERIOD_NS)
         frame = sample_frame((5.0, 5.0, 5.0), counter, protected=protected)
         if on_the_way:
-            arrival_ns = max(arrival_ns, on_the_way[-1][0])  # frames do not overtake one another
+            arrival_ns = max(arrival_ns, on_the_way[-1][0])  # frames do not overtake each other
         on_the_way.append((arrival_ns, sync_ns, frame))
     if max(latencies) < 0.5 and set(fates) == {"carried"}:
         assert taken > len(latencies) - 8
@@ -368,17 +366,17 @@ board_faults: st.SearchStrategy[AdcFaults | DacFaults] = st.one_of(
 
 @given(st.sampled_from(RIGS), tampering, st.none() | st.tuples(st.integers(0, 30), board_faults))
 @settings(max_examples=60, deadline=None)
-def test_on_a_bus_that_loses_spoils_and_swaps_frames_the_valves_are_safe(
+def test_on_a_bus_that_loses_damages_and_swaps_frames_the_valves_are_safe(
     rig: Rig, what: list[str], breakage: tuple[int, AdcFaults | DacFaults] | None
 ) -> None:
-    """With the simulated boards: their pins stay within limits, and are centred once the gateway faults."""
-    bench = Bench(rig, LAWS[0], "ladder:0.1,-0.1@0/0.05").run()
-    verdicts = iter(what * 20)
+    """The simulated boards' outputs stay within the limits, and are centred once the gateway faults."""
+    bench = RigBench(rig, LAWS[0], "ladder:0.1,-0.1@0/0.05").run()
+    actions = iter(what * 20)
     held: list[Frame] = []
 
     def tamper(frame: Frame) -> list[Frame]:
         released, held[:] = list(held), []
-        match next(verdicts, "pass"):
+        match next(actions, "pass"):
             case "lose":
                 return released
             case "corrupt" if frame.data:
@@ -401,7 +399,7 @@ def test_on_a_bus_that_loses_spoils_and_swaps_frames_the_valves_are_safe(
         in_fault = in_fault + 1 if bench.gateway.state is LifeCycleState.FAULT else 0
         for axis in rig.axes.values():
             pin_v = bench.boards.dac.valve_v[axis.valve.channel - 1]
-            assert axis.valve.min_v - 0.01 <= pin_v <= axis.valve.max_v  # the converter's 12 bits
+            assert axis.valve.min_v - 0.01 <= pin_v <= axis.valve.max_v  # 12 bits of the converter
             is_hung = bench.boards.dac.faults is not None and bench.boards.dac.faults.hung
             if in_fault > 1 and not is_hung:
                 assert abs(pin_v - axis.valve.centre_v) < 0.01

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from support.constants import PERIOD_S
 from support.given_responses import Modes, both, continuous_loop, readings, sampled_loop
 from support.random_systems import patient
-
-PERIOD_S = 0.0112
 
 
 def decade(low: float, high: float) -> st.SearchStrategy[float]:

@@ -17,7 +17,7 @@ from firmware_sim.arm.events import AnyEvent
 from firmware_sim.arm.parameters import ArmParameters
 from hil.core.control_law import ControlLaw
 from hil.core.controller_file import PidLaw
-from support.shipped_rig import PERIOD_NS, PERIOD_S
+from support.constants import PERIOD_NS, PERIOD_S
 
 COUNTS = 4096
 

@@ -12,7 +12,8 @@ from firmware_sim.boards.codec import encode_values
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.frames import Frame
 from hil.core.rig import DacSettings, Rig
-from support.shipped_rig import PERIOD_NS, SHIPPED_RIG
+from support.constants import PERIOD_NS
+from support.shipped_rig import SHIPPED_RIG
 
 RIG: Rig = msgspec.structs.replace(
     SHIPPED_RIG,

@@ -26,7 +26,8 @@ from canopen.objectdictionary import (
 
 from firmware_sim import cli
 from firmware_sim.plants.linear_plant import LinearPlant
-from support.shipped_rig import PERIOD_S, SHIPPED_RIG
+from support.constants import PERIOD_S
+from support.shipped_rig import SHIPPED_RIG
 
 LIMIT_S = 20
 CENTRE = 16384

@@ -8,8 +8,7 @@ from design.models.plant import Plant, paper_plant
 from design.paper.reproduction import Reproduction, reproduce
 from design.synthesis.design_file import read_design
 from design.synthesis.procedure import Design, design_controller
-
-PERIOD_S = 0.0112
+from support.constants import PERIOD_S as PERIOD_S
 
 HEAVIER = Plant(
     format="hil-plant",

@@ -5,8 +5,8 @@ import numpy as np
 from design.models.controller import Controller
 from design.models.plant import TransferFunction, paper_plant
 from design.synthesis.structures import STRUCTURES
+from support.constants import PERIOD_S as PERIOD_S
 
-PERIOD_S = 0.0112
 G0 = paper_plant().transfer_function()
 W1 = TransferFunction(np.array([15.535, 6.83]), np.array([1.0, 0.001]))
 """Eq. (16)."""

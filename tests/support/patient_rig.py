@@ -1,4 +1,4 @@
-"""The shipped rig made patient: its limits bear a machine that stalls for tenths of a second."""
+"""The shipped rig file with limits that tolerate a machine that stalls for some tenths of a second."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ STALE_PERIODS, WATCHDOG_PERIODS, HEARTBEAT_PERIODS = 40, 45, 180
 
 
 def write_patient_rig(path: Path) -> str:
-    """Write the rig file to ``path``; returns it as a command's argument."""
+    """Write the rig file to ``path``, and return the path as an argument of a command."""
     text = (Path(hil.__file__).parent / "shipped" / "rig.toml").read_text()
     for key, periods, places in (
         ("stale_after_periods", STALE_PERIODS, 1),

@@ -18,9 +18,8 @@ from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
 from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, RunHeader
 from hil.recording.mcap_writer import McapWriter
 from hil.recording.recorder import Recorder
+from support.constants import PERIOD_NS, PERIOD_S
 
-PERIOD_NS = 11_200_000
-PERIOD_S = PERIOD_NS * 1e-9
 EPOCH_OFFSET_NS = 1_700_000_000_000_000_000
 START_NS = 5_000_000_000
 AXES = (("vertical", "m"), ("horizontal", "m"), ("rotation", "rad"))

@@ -1,4 +1,4 @@
-"""The ``canopen`` library, a master that nobody here wrote, drives the simulated boards over SocketCAN."""
+"""The ``canopen`` library, an independent master, drives the simulated boards over SocketCAN."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gateway and boards as two processes on real SocketCAN, watched by candump: the whole loop in real time."""
+"""Gateway and boards as two processes on SocketCAN in real time, recorded by candump as well."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.constants import CENTRED, PERIOD_NS, PERIOD_S
 from support.patient_rig import STALE_PERIODS, WATCHDOG_PERIODS, write_patient_rig
 
 from firmware_sim.boards.codec import Converter, decode_values
 from firmware_sim.plants.linear_plant import LinearPlant
-from hil.core.board_watch import NMT_START
-from hil.core.gateway import ADC_NODE, OWN_IDENTIFIERS
+from hil.core.board_watch import ADC_NODE, NMT_START
+from hil.core.foreign_frames import OWN_IDENTIFIERS
 from hil.core.output import Severity
 from hil.core.rig import read_rig
 from hil.core.wire import codec
@@ -31,19 +32,18 @@ from hil.shells.replay import verify
 
 pytestmark = pytest.mark.vcan
 
-PERIOD_NS, PERIOD_S = 11_200_000, 0.0112
 LSB_V = 10 / 4096
 STALL_S = 0.3
-"""What a busy machine may add to any reaction; the exact limits are asserted in stepped time elsewhere."""
+"""Time that a busy machine may add to a reaction. Tests in simulated time assert the exact limits."""
 CANDUMP_LINE = re.compile(r"\((\d+\.\d+)\) \w+ ([0-9A-F]+)#([0-9A-F]*)")
 TIMEOUT_S = 60
 STEPS = {"vertical": (0.1, 1, "ppid"), "horizontal": (0.05, 2, "ppid"), "rotation": (0.2, 3, "ppid_rad")}
 PIPE_BYTES, CANDUMP_BYTES = 1 << 20, 1 << 24
-"""Room for a whole run: candump loses frames when nobody reads, or when it gets no processor."""
+"""Buffers for a whole run. Otherwise candump loses frames if nobody reads, or if it does not get to run."""
 
 
 def run_command(rig: str, path: Path, duration_s: int, **setpoints: str) -> list[str]:
-    """``setpoints``, by axis, in place of the steps."""
+    """A run of ``hil run`` with a step on every axis; ``setpoints`` replace it by axis."""
     options = ["--rig", rig, "--bus", "vcan0", "--duration", str(duration_s), "--record", str(path)]
     for axis, (size, at_s, controller) in STEPS.items():
         setpoint = setpoints.get(axis, f"step:{size}@{at_s}")
@@ -53,7 +53,7 @@ def run_command(rig: str, path: Path, duration_s: int, **setpoints: str) -> list
 
 @contextlib.contextmanager
 def process(command: list[str], **options: object) -> Iterator[subprocess.Popen[str]]:
-    """A process that does not outlive the test."""
+    """A process that is killed at the end of the test."""
     with subprocess.Popen(command, text=True, **options) as started:  # type: ignore[call-overload]
         try:
             yield started
@@ -63,7 +63,7 @@ def process(command: list[str], **options: object) -> Iterator[subprocess.Popen[
 
 @pytest.fixture
 def rig(tmp_path: Path) -> str:
-    """A rig file with limits for a machine that stalls."""
+    """A rig file with limits that tolerate a machine that stalls."""
     return write_patient_rig(tmp_path / "rig.toml")
 
 
@@ -72,12 +72,12 @@ def boards(rig: str) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "firmware_sim", "--linear", "--bus", "vcan0", "--rig", rig]
     with process(command, stdout=subprocess.PIPE) as started:
         assert started.stdout is not None
-        assert "boards" in started.stdout.readline(), "firmware-sim says when it is on the bus"
+        assert "boards" in started.stdout.readline(), "firmware-sim reports when it is on the bus"
         yield started
 
 
 class Candump:
-    """candump on vcan0 with kernel time stamps; ``until`` waits for a frame."""
+    """candump on vcan0 with the kernel's time stamps."""
 
     def __init__(self, started: subprocess.Popen[bytes]) -> None:
         assert started.stdout is not None
@@ -89,7 +89,7 @@ class Candump:
     def until(
         self, wanted: Callable[[int, bytes], bool], watched: subprocess.Popen[str] | None = None
     ) -> float:
-        """Read on until a frame is wanted; returns its time. Fails when ``watched`` ends before."""
+        """Read frames until one is ``wanted``, and return its time. Fail if ``watched`` ends before."""
         end = time.monotonic() + TIMEOUT_S
         while time.monotonic() < end:
             line, newline, rest = self._unread.partition(b"\n")
@@ -108,7 +108,7 @@ class Candump:
         raise AssertionError("the frame did not come in time")
 
     def up_to_now(self) -> list[tuple[float, int, bytes]]:
-        """Every frame so far."""
+        """Every frame until now."""
         subprocess.run(["cansend", "vcan0", "7FE#"], check=True)
         self.until(lambda identifier, _data: identifier == 0x7FE)
         return self.frames
@@ -129,25 +129,26 @@ def candump() -> Iterator[Candump]:
 
 
 def is_moving(identifier: int, data: bytes) -> bool:
-    """Whether a frame is a command with a valve off centre: the gateway is running."""
+    """Whether a frame commands a valve away from its centre, so that the gateway is running."""
     return identifier == codec.RPDO1_DAC and any(
         abs(volts - 5.0) > 0.1 for volts in codec.decode_rpdo1_dac(data)[:3]
     )
 
 
 def is_alarm(identifier: int, data: bytes) -> bool:
-    """Whether a frame is an emergency of the DAC board, not the end of one."""
+    """Whether a frame is an emergency message of the DAC board with an error."""
     return identifier == codec.EMCY_DAC and codec.decode_emcy_dac(data).error_code != 0
 
 
 def largest_error_v(rig: str, candump: Candump) -> float:
-    """The boards' samples against the plant driven by the commands that candump saw, when it saw them.
+    """The largest difference between the boards' samples and a plant that is driven by the recorded commands.
 
-    So the loop is judged whatever the machine did to its timing: the controllers' part is replay's to verify.
+    The plant gets each command at the time at which candump saw it, so the machine's timing does not matter.
+    Replay verifies the controllers.
     """
     plant = LinearPlant(read_rig(Path(rig).read_text(), rig))
     converter = Converter(12)
-    applied = pending = (5.0, 5.0, 5.0)
+    applied = pending = CENTRED
     largest, is_started, before_s = 0.0, False, candump.times(codec.SYNC)[0]
     expected: deque[Sequence[float]] = deque()
     for at_s, identifier, data in candump.frames:
@@ -167,7 +168,7 @@ def largest_error_v(rig: str, candump: Candump) -> float:
     return largest
 
 
-def test_ten_seconds_of_three_axes(
+def test_a_run_of_ten_seconds_with_three_axes(
     rig: str, boards: subprocess.Popen[str], candump: Candump, tmp_path: Path
 ) -> None:
     recording_path = tmp_path / "run.mcap"
@@ -183,13 +184,19 @@ def test_ten_seconds_of_three_axes(
         for kind in (FrameSent, FrameReceived)
     )
     seen = [frame[1:] for frame in candump.frames]
-    assert sent == [frame for frame in seen if frame[0] in OWN_IDENTIFIERS], "recorded as it was on the bus"
-    of_boards = [frame for frame in seen if frame[0] not in OWN_IDENTIFIERS]
-    heard_from = next(i for i in range(len(of_boards)) if of_boards[i : i + len(received)] == received)
-    assert codec.TPDO1_ADC not in [identifier for identifier, _ in of_boards[:heard_from]], "heard all since"
+    assert sent == [frame for frame in seen if frame[0] in OWN_IDENTIFIERS], (
+        "sent frames are recorded as they were on the bus"
+    )
+    from_boards = [frame for frame in seen if frame[0] not in OWN_IDENTIFIERS]
+    first_received = next(
+        i for i in range(len(from_boards)) if from_boards[i : i + len(received)] == received
+    )
+    assert codec.TPDO1_ADC not in [identifier for identifier, _ in from_boards[:first_received]], (
+        "no sample before the first received frame"
+    )
 
     periods = np.diff([call.deadline_ns for call in calls if isinstance(call, DeadlineCalled)]) / PERIOD_NS
-    assert np.array_equal(periods, np.maximum(np.round(periods), 1)), "deadlines stay on their grid"
+    assert np.array_equal(periods, np.maximum(np.round(periods), 1)), "deadlines are on a grid of one period"
     sync_s = candump.times(codec.SYNC)
     assert np.ptp(sync_s) / periods.sum() == pytest.approx(PERIOD_S, rel=0.01), "89.3 Hz"
     assert len(candump.times(codec.TPDO1_ADC)) > 0.95 * len(sync_s), "the board answers every SYNC"
@@ -199,19 +206,19 @@ def test_ten_seconds_of_three_axes(
     assert recording.metadata["ending"]["frames dropped by the kernel"] == "0"
     assert recording.metadata["ending"]["frames not sent"] == "0"
     assert not [key for key in recording.metadata["recorder"] if key.startswith("dropped")]
-    assert largest_error_v(rig, candump) < 3 * LSB_V, "eq. (15) under the commands on the bus, at their times"
+    assert largest_error_v(rig, candump) < 3 * LSB_V, "eq. (15) under the commands on the bus"
     for axis, (size, _, _) in STEPS.items():
         last_second = recording.axis(axis)[-int(1 / PERIOD_S) :]
         assert np.all(np.abs(last_second["position"] / size - 1.0) < 0.02), axis
     assert verify(recording).frames_compared == len(sent)
 
 
-def test_killed_gateway_leaves_centred_valves(
+def test_a_killed_gateway_leaves_centred_valves(
     rig: str, boards: subprocess.Popen[str], candump: Candump, tmp_path: Path
 ) -> None:
-    """The DAC board tells by EMCY that its watchdog has centred the valves, within the watchdog's time.
+    """The DAC board reports by EMCY that its watchdog has centred the valves, within the watchdog's time.
 
-    Of all that it tells, what follows the last command counts: a starved gateway may have let it down before.
+    Only an emergency after the last command counts: a stalled gateway may have caused earlier ones.
     """
     with process(run_command(rig, tmp_path / "killed.mcap", 60, vertical="sine:0.1@0.1/1")) as run:
         candump.until(is_moving, run)
@@ -219,16 +226,16 @@ def test_killed_gateway_leaves_centred_valves(
         run.wait(TIMEOUT_S)
     frames = candump.up_to_now()
     last = max(place for place, frame in enumerate(frames) if frame[1] == codec.RPDO1_DAC)
-    told_s = next((at_s for at_s, *frame in frames[last:] if is_alarm(*frame)), None)
-    if told_s is None:
-        told_s = candump.until(is_alarm)
+    alarm_s = next((at_s for at_s, *frame in frames[last:] if is_alarm(*frame)), None)
+    if alarm_s is None:
+        alarm_s = candump.until(is_alarm)
     assert (
-        WATCHDOG_PERIODS * PERIOD_S <= told_s - frames[last][0] < (WATCHDOG_PERIODS + 1) * PERIOD_S + STALL_S
+        WATCHDOG_PERIODS * PERIOD_S <= alarm_s - frames[last][0] < (WATCHDOG_PERIODS + 1) * PERIOD_S + STALL_S
     )
     assert boards.poll() is None
 
 
-def test_killed_boards_fault_the_gateway(
+def test_killed_boards_are_a_fault_of_the_gateway(
     rig: str, boards: subprocess.Popen[str], candump: Candump, tmp_path: Path
 ) -> None:
     path = tmp_path / "lost.mcap"
@@ -249,7 +256,7 @@ def test_killed_boards_fault_the_gateway(
     )
     assert (now_ns - last_sample_ns) * 1e-9 <= (STALE_PERIODS + 1) * PERIOD_S + STALL_S
     calls = [call for call in recording.calls() if isinstance(call, DeadlineCalled)]
-    assert calls[-1].now_ns > now_ns, "the gateway went on to send centred commands"
+    assert calls[-1].now_ns > now_ns, "the gateway continued with centred commands"
     centred = [data for _, identifier, data in candump.up_to_now() if identifier == codec.RPDO1_DAC]
-    assert codec.decode_rpdo1_dac(centred[-1])[:3] == (5.0, 5.0, 5.0)
+    assert codec.decode_rpdo1_dac(centred[-1])[:3] == CENTRED
     assert verify(recording).frames_compared > 0

@@ -19,8 +19,8 @@ from design.cli import STRUCTURE_NAMES
 from design.models.plant import paper_plant
 from design.paper import claims as paper_claims
 from design.paper import reproduction as paper
-from design.synthesis.design_file import example_text
 from design.synthesis import procedure
+from design.synthesis.design_file import example_text
 from design.synthesis.structures import STRUCTURES
 from hil.cli import main
 from hil.core.controller_file import PidLaw, check_controller_fits, read_controller

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 from support.arm_files import SHIPPED_TEXT
-from support.shipped_rig import CENTRED, PERIOD_NS, RIG_TEXT, SHIPPED_RIG
+from support.constants import CENTRED, PERIOD_NS
+from support.shipped_rig import RIG_TEXT, SHIPPED_RIG
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.event_text import parse_event

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 from support.board_bench import HEARTBEAT_NS, MS, RIG, START, SYNC, Bench, HandPlant, nmt, with_dac
-from support.shipped_rig import CENTRED, PERIOD_NS
+from support.constants import CENTRED, PERIOD_NS
 
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.errors import HilError

@@ -8,12 +8,11 @@ import control
 import msgspec
 import numpy as np
 import pytest
+from support.constants import PERIOD_S
 
 from design.models.measured_record import POOR_PERCENT, compare
 from design.models.plant import paper_plant
 from hil.core.errors import DocumentError
-
-PERIOD_S = 0.0112
 
 
 def record(noise_m: float = 0.0, from_sample: int = 0, offset_m: float = 0.0) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.constants import PERIOD_S
 
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
@@ -23,7 +24,6 @@ from design.synthesis.baselines import (
 from hil.core.controller_file import PidLaw, read_controller
 from hil.shells.run_setup import SHIPPED_CONTROLLERS
 
-PERIOD_S = 0.0112
 WITHOUT_DELAY = Sampling(PERIOD_S, delay_samples=0)
 
 

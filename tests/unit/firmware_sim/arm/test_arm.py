@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from support.arm_files import arm_with
-from support.shipped_rig import CENTRED, PERIOD_NS
+from support.constants import CENTRED, PERIOD_NS
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.arm_file import shipped_arm

@@ -2,7 +2,7 @@
 
 import pytest
 from support.arm_files import arm_with
-from support.shipped_rig import CENTRED
+from support.constants import CENTRED
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.events import (

@@ -20,7 +20,7 @@ from support.board_bench import (
     nmt,
     with_dac,
 )
-from support.shipped_rig import CENTRED, PERIOD_NS
+from support.constants import CENTRED, PERIOD_NS
 
 from firmware_sim.boards.codec import encode_values
 from hil.core.frames import Frame

@@ -13,7 +13,7 @@ from support.board_bench import (
     nmt,
     with_dac,
 )
-from support.shipped_rig import CENTRED, PERIOD_NS
+from support.constants import CENTRED, PERIOD_NS
 
 from firmware_sim.boards.codec import RejectedPdoError, decode_values
 from firmware_sim.boards.faults import AdcFaults, DacFaults

@@ -7,7 +7,7 @@ from typing import Literal
 from hypothesis import given
 from hypothesis import strategies as st
 from support.board_bench import START, SYNC, Bench, nmt, with_dac
-from support.shipped_rig import CENTRED, PERIOD_NS
+from support.constants import CENTRED, PERIOD_NS
 
 from firmware_sim.boards.codec import encode_values
 from hil.core.frames import Frame

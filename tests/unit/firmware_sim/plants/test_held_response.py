@@ -7,7 +7,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.shipped_rig import PERIOD_NS
+from support.constants import PERIOD_NS
 
 from firmware_sim.plants.held_response import response_of
 from firmware_sim.plants.linear_model import EQUATION_15, LinearModel

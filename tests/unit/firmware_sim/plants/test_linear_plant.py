@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
-from support.shipped_rig import CENTRED, RIG_TEXT
+from support.constants import CENTRED
+from support.shipped_rig import RIG_TEXT
 from support.shipped_rig import SHIPPED_RIG as RIG
 
 from firmware_sim.plants.linear_model import LinearModel

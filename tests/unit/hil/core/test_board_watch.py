@@ -1,4 +1,4 @@
-"""Supervision of one board: boot-up, NMT start, and heartbeats that stop, to the nanosecond."""
+"""State of one board: boot-up, NMT start, heartbeat timeout to the nanosecond, and emergencies in words."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ def watch() -> BoardWatch:
     return BoardWatch("adc", 0x10, TIMEOUT_NS, "adc.heartbeat_timeout_periods")
 
 
-def test_a_board_that_was_never_heard_is_silent_but_not_lost() -> None:
+def test_a_board_without_any_heartbeat_is_silent_but_not_lost() -> None:
     board = watch()
     assert not board.is_up
     assert board.describe() == "silent"
-    assert board.overdue(10**18) is None
+    assert board.check_timeout(10**18) is None
 
 
 @pytest.mark.parametrize(
@@ -39,58 +39,58 @@ def test_a_board_that_is_not_operational_is_started(state: int, words: str) -> N
     assert board.describe() == words
 
 
-def test_the_start_command_is_for_this_board_alone() -> None:
+def test_the_start_command_has_the_boards_node_id() -> None:
     assert BoardWatch("dac", 0x20, 1, "x").heartbeat(NmtState.BOOT_UP, 0) == Frame(0x000, b"\x01\x20")
 
 
-def test_an_operational_board_is_up_and_left_alone() -> None:
+def test_an_operational_board_is_up_and_is_not_started() -> None:
     board = watch()
     assert board.heartbeat(5, 0) is None
     assert board.is_up
     assert board.describe() == "operational"
 
 
-def test_a_heartbeat_may_take_exactly_its_time() -> None:
+def test_a_heartbeat_may_take_exactly_the_timeout() -> None:
     board = watch()
     board.heartbeat(NmtState.OPERATIONAL, 1000)
-    assert board.overdue(1000 + TIMEOUT_NS) is None
+    assert board.check_timeout(1000 + TIMEOUT_NS) is None
     assert board.is_up
-    assert board.overdue(1000 + TIMEOUT_NS + 1) == (
+    assert board.check_timeout(1000 + TIMEOUT_NS + 1) == (
         "no heartbeat for 302 ms, limit 302 ms (rig: adc.heartbeat_timeout_periods)"
     )
 
 
-def test_every_heartbeat_gives_its_time_anew() -> None:
+def test_every_heartbeat_restarts_the_timeout() -> None:
     board = watch()
     for now_ns in range(0, 10 * TIMEOUT_NS, TIMEOUT_NS):
         board.heartbeat(NmtState.OPERATIONAL, now_ns)
-        assert board.overdue(now_ns + TIMEOUT_NS) is None
+        assert board.check_timeout(now_ns + TIMEOUT_NS) is None
 
 
 def test_a_lost_board_is_reported_once_and_is_not_up() -> None:
     board = watch()
     board.heartbeat(NmtState.OPERATIONAL, 0)
-    assert board.overdue(2 * TIMEOUT_NS) is not None
+    assert board.check_timeout(2 * TIMEOUT_NS) is not None
     assert not board.is_up
     assert board.describe() == "silent"
-    assert board.overdue(3 * TIMEOUT_NS) is None
+    assert board.check_timeout(3 * TIMEOUT_NS) is None
 
 
 def test_a_board_that_comes_back_is_watched_again() -> None:
     board = watch()
     board.heartbeat(NmtState.OPERATIONAL, 0)
-    board.overdue(2 * TIMEOUT_NS)
+    board.check_timeout(2 * TIMEOUT_NS)
     assert board.heartbeat(NmtState.BOOT_UP, 3 * TIMEOUT_NS) == START
     assert board.heartbeat(NmtState.OPERATIONAL, 3 * TIMEOUT_NS) is None
     assert board.is_up
-    assert board.overdue(4 * TIMEOUT_NS) is None
-    assert board.overdue(4 * TIMEOUT_NS + 1) is not None
+    assert board.check_timeout(4 * TIMEOUT_NS) is None
+    assert board.check_timeout(4 * TIMEOUT_NS + 1) is not None
 
 
 def test_a_board_that_is_not_operational_is_watched_too() -> None:
     board = watch()
     board.heartbeat(NmtState.PRE_OPERATIONAL, 0)
-    assert board.overdue(TIMEOUT_NS + 1) is not None
+    assert board.check_timeout(TIMEOUT_NS + 1) is not None
 
 
 @pytest.mark.parametrize(
@@ -104,10 +104,10 @@ def test_a_board_that_is_not_operational_is_watched_too() -> None:
         (0xA000, "unknown error"),
     ],
 )
-def test_an_emergency_is_told_in_words_as_closely_as_its_code_is_known(code: int, words: str) -> None:
+def test_an_emergency_is_described_by_the_known_digits_of_its_code(code: int, words: str) -> None:
     assert describe_emergency(code, 0x11, bytes(5)) == f"EMCY 0x{code:04X} ({words}), error register 0x11"
 
 
-def test_what_the_vendor_adds_is_told_too() -> None:
+def test_vendor_bytes_are_described() -> None:
     text = describe_emergency(0x8200, 0x11, bytes((2, 7, 0, 0, 0)))
     assert text == "EMCY 0x8200 (protocol error), error register 0x11, vendor bytes 02 07 00 00 00"

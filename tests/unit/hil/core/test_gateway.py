@@ -1,6 +1,6 @@
-"""The gateway core, stepped by hand: bring-up, what leaves when, cycles, and rigs of every shape.
+"""The gateway core without faults: bring-up, commands, cycles, and other rig files.
 
-The test plays the boards (``HandGateway``) or lets the simulated ones answer (``Bench``).
+The test plays the boards (``SteppedGateway``), or the simulated boards answer (``RigBench``).
 """
 
 from __future__ import annotations
@@ -8,19 +8,22 @@ from __future__ import annotations
 import math
 
 import pytest
+from support.constants import CENTRED, COUNT_V, PERIOD_NS
 from support.gateway_bench import (
     ADC_BOOT,
     ADC_UP,
     DAC_BOOT,
     DAC_UP,
+    GATEWAY_HEARTBEAT,
     START_NS,
     SYNC,
-    Bench,
-    HandGateway,
+    RigBench,
+    SteppedGateway,
     commands,
-    hand,
     make_gateway,
     make_rig,
+    make_running,
+    make_stepped,
     sample_frame,
     texts,
 )
@@ -31,87 +34,81 @@ from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
 
-PERIOD_NS = 11_200_000
-CENTRED = (5.0, 5.0, 5.0)
-COUNT_V = 10.0 / 32768
-GATEWAY_HEARTBEAT = Frame(0x701, b"\x05")
 START_ADC, START_DAC = Frame(0x000, b"\x01\x10"), Frame(0x000, b"\x01\x20")
 
 
 class TestBringUp:
     def test_the_first_deadline_sends_sync_heartbeat_and_centre(self) -> None:
-        output = hand().deadline()
+        output = make_stepped().deadline()
         assert output.frames[:2] == (SYNC, GATEWAY_HEARTBEAT)
         assert commands(output) == [CENTRED]
         assert output.cycle is None
         assert output.log == ()
 
     def test_a_boot_up_message_is_answered_by_nmt_start(self) -> None:
-        gateway = hand()
+        gateway = make_stepped()
         gateway.deadline()
-        assert gateway.give(ADC_BOOT).frames == (START_ADC,)
-        assert gateway.give(DAC_BOOT).frames == (START_DAC,)
-        assert gateway.told.texts() == ["adc: boot-up", "dac: boot-up"]
+        assert gateway.receive(ADC_BOOT).frames == (START_ADC,)
+        assert gateway.receive(DAC_BOOT).frames == (START_DAC,)
+        assert gateway.transcript.texts() == ["adc: boot-up", "dac: boot-up"]
 
-    def test_a_board_is_told_when_its_state_changes_and_then_no_more(self) -> None:
-        gateway = hand()
+    def test_a_change_of_a_boards_state_is_reported_once(self) -> None:
+        gateway = make_stepped()
         for _ in range(3):
-            gateway.give(ADC_BOOT)
+            gateway.receive(ADC_BOOT)
         for _ in range(3):
-            gateway.give(ADC_UP)
-        assert gateway.told.texts() == ["adc: boot-up", "adc: operational"]
+            gateway.receive(ADC_UP)
+        assert gateway.transcript.texts() == ["adc: boot-up", "adc: operational"]
 
     @pytest.mark.parametrize("state", [0, 4, 127, 99])
-    def test_every_heartbeat_that_is_not_operational_is_answered(self, state: int) -> None:
-        gateway = hand()
+    def test_every_heartbeat_that_is_not_operational_is_answered_by_nmt_start(self, state: int) -> None:
+        gateway = make_stepped()
         for _ in range(3):
             gateway.deadline()
-            assert gateway.give(Frame(0x710, bytes((state,)))).frames == (START_ADC,)
+            assert gateway.receive(Frame(0x710, bytes((state,)))).frames == (START_ADC,)
 
-    def test_ready_needs_both_boards_and_then_a_good_sample(self) -> None:
-        gateway = hand()
+    def test_ready_needs_both_boards_and_a_good_sample_after_them(self) -> None:
+        gateway = make_stepped()
         for heartbeats in ((), (ADC_UP,), (DAC_UP,)):
             gateway.deadline()
             assert gateway.state is LifeCycleState.OFFLINE
-            gateway.give(*heartbeats)
+            gateway.receive(*heartbeats)
             assert gateway.state is LifeCycleState.OFFLINE
-            before = gateway.state
             output = gateway.sample()
-            assert before is LifeCycleState.OFFLINE
             assert commands(output) == []
         assert gateway.state is LifeCycleState.READY
         assert texts(output) == ["life cycle: offline -> ready (boards up)"]
 
     @pytest.mark.parametrize("missing", [ADC_UP, DAC_UP])
-    def test_one_board_alone_is_not_ready(self, missing: Frame) -> None:
-        gateway = hand()
+    def test_one_board_alone_does_not_lead_to_ready(self, missing: Frame) -> None:
+        gateway = make_stepped()
         for _ in range(5):
             gateway.deadline()
-            gateway.give(*{ADC_UP, DAC_UP} - {missing})
+            gateway.receive(*{ADC_UP, DAC_UP} - {missing})
             gateway.sample()
             assert gateway.state is LifeCycleState.OFFLINE
 
-    def test_a_bad_sample_does_not_make_ready(self) -> None:
-        gateway = hand()
+    def test_a_rejected_sample_does_not_lead_to_ready(self) -> None:
+        gateway = make_stepped()
         gateway.deadline()
-        gateway.give(ADC_UP, DAC_UP)
+        gateway.receive(ADC_UP, DAC_UP)
         gateway.sample((0.0, 5.0, 5.0))
         assert gateway.state is LifeCycleState.OFFLINE
 
-    def test_heartbeats_leave_every_so_many_periods(self) -> None:
-        gateway = hand()
+    def test_the_gateways_heartbeat_is_sent_at_its_interval(self) -> None:
+        gateway = make_stepped()
         sent = [GATEWAY_HEARTBEAT in gateway.deadline().frames for _ in range(28)]
         assert [k for k, is_sent in enumerate(sent) if is_sent] == [0, 9, 18, 27]
 
     @pytest.mark.parametrize("state", [LifeCycleState.RUNNING, LifeCycleState.FAULT])
-    def test_heartbeats_leave_in_every_state(self, state: LifeCycleState) -> None:
-        gateway = hand(state)
-        gateway.told.frames.clear()
+    def test_the_gateways_heartbeat_is_sent_in_every_state(self, state: LifeCycleState) -> None:
+        gateway = make_stepped(state)
+        gateway.transcript.frames.clear()
         gateway.periods(18)
-        assert gateway.told.frames.count(GATEWAY_HEARTBEAT) == 2
+        assert gateway.transcript.frames.count(GATEWAY_HEARTBEAT) == 2
 
-    def test_skipped_periods_do_not_skip_the_heartbeat(self) -> None:
-        gateway = hand()
+    def test_skipped_periods_do_not_skip_the_gateways_heartbeat(self) -> None:
+        gateway = make_stepped()
         gateway.deadline()
         for _ in range(7):
             gateway.deadline()  # periods 1 to 7
@@ -120,11 +117,12 @@ class TestBringUp:
         sent = [GATEWAY_HEARTBEAT in gateway.deadline().frames for _ in range(9)]
         assert sent == [False] * 8 + [True]
 
-    def test_a_sample_before_the_first_sync_is_not_asked_for(self) -> None:
-        gateway = hand()
-        gateway.give(ADC_UP, DAC_UP)
+    def test_a_sample_before_the_first_sync_is_rejected(self) -> None:
+        gateway = make_stepped()
+        gateway.receive(ADC_UP, DAC_UP)
         assert texts(gateway.sample()) == [
-            "guard: rejected: TPDO1_ADC: no SYNC is unanswered: it came twice, or unasked"
+            "guard: rejected: TPDO1_ADC: no SYNC is unanswered: the frame came twice, "
+            "or was sent without SYNC"
         ]
         assert gateway.state is LifeCycleState.OFFLINE
 
@@ -135,46 +133,46 @@ class TestBringUp:
     def test_a_heartbeat_of_another_length_is_rejected(
         self, board: str, identifier: int, length: int
     ) -> None:
-        gateway = hand()
-        output = gateway.give(Frame(identifier, b"\x05" * length))
+        gateway = make_stepped()
+        output = gateway.receive(Frame(identifier, b"\x05" * length))
         assert texts(output) == [f"guard: rejected: heartbeat of {board} has {length} bytes, not 1"]
         assert gateway.core.rejected_frames == 1
         assert f"{board} silent" in gateway.operate(Trigger.ARM).log[0].text
 
     def test_the_simulated_boards_come_up(self) -> None:
-        bench = Bench(make_rig())
+        bench = RigBench(make_rig())
         bench.periods(12)
         assert bench.gateway.state is LifeCycleState.READY
-        assert [text for text in bench.told.texts() if "life cycle" in text or "dac" in text] == [
+        assert [text for text in bench.transcript.texts() if "life cycle" in text or "dac" in text] == [
             "dac: boot-up",
             "dac: operational",
             "life cycle: offline -> ready (boards up)",
         ]
-        assert bench.told.frames[:2] == [START_ADC, START_DAC]
-        assert set(bench.told.commands()) == {CENTRED}
+        assert bench.transcript.frames[:2] == [START_ADC, START_DAC]
+        assert set(bench.transcript.commands()) == {CENTRED}
 
 
 @pytest.mark.parametrize("state", [state for state in LifeCycleState if state is not LifeCycleState.RUNNING])
 def test_valves_are_centred_every_period_in_every_state_but_running(state: LifeCycleState) -> None:
-    gateway = hand(state)
+    gateway = make_stepped(state)
     for k in range(20):
         output = gateway.deadline()
         assert commands(output) == [CENTRED]
         assert output.frames[0] == SYNC or state is LifeCycleState.OFFLINE
         if state is not LifeCycleState.OFFLINE:
-            gateway.give(ADC_UP, DAC_UP)
+            gateway.receive(ADC_UP, DAC_UP)
             assert commands(gateway.sample((5.0 + 0.1 * k, 4.0, 6.0))) == []
         assert gateway.state is state
 
 
-def test_a_valve_that_something_else_moved_is_centred_at_the_next_deadline() -> None:
-    gateway = hand(LifeCycleState.ARMED)
+def test_a_valve_that_was_moved_while_armed_is_centred_at_the_next_deadline() -> None:
+    gateway = make_stepped(LifeCycleState.ARMED)
     gateway.core._loops._valves.command(0, 2.0)
     assert commands(gateway.deadline()) == [CENTRED]
 
 
-def test_before_the_first_sample_a_cycle_says_that_nothing_is_known() -> None:
-    gateway = hand()
+def test_before_the_first_sample_the_signals_of_a_cycle_are_nan() -> None:
+    gateway = make_stepped()
     gateway.deadline()
     cycle = gateway.deadline().cycle
     assert cycle is not None
@@ -187,20 +185,20 @@ def test_before_the_first_sample_a_cycle_says_that_nothing_is_known() -> None:
 
 class TestRunning:
     def test_a_command_leaves_only_in_answer_to_a_fresh_good_sample(self) -> None:
-        gateway = hand(LifeCycleState.RUNNING, adc__protected="false")
+        gateway = make_stepped(LifeCycleState.RUNNING, adc__protected="false")
         for number in range(30):
             assert commands(gateway.deadline()) == []
-            assert commands(gateway.give(ADC_UP, DAC_UP)) == []
+            assert commands(gateway.receive(ADC_UP, DAC_UP)) == []
             assert len(commands(gateway.sample())) == 1
             gateway.now_ns += 100_000
             if number % 2:
                 again = sample_frame(gateway.volts, 0, protected=False)
-                assert commands(gateway.give(again)) == []
+                assert commands(gateway.receive(again)) == []
         assert gateway.state is LifeCycleState.RUNNING
 
-    def test_the_command_is_the_laws_limited_output(self) -> None:
-        """u = 20 (r - y) from the centre: 0.05 m at the potentiometers' middle is 1 V."""
-        gateway = hand(LifeCycleState.RUNNING)
+    def test_the_command_is_the_control_laws_output(self) -> None:
+        """u = 20 (r - y) = 1 V for a setpoint of 0.05 m and an axis in the middle."""
+        gateway = make_stepped(LifeCycleState.RUNNING)
         gateway.deadline()
         (volts,) = commands(gateway.sample())
         assert volts == pytest.approx((6.0, 6.0, 6.0), abs=COUNT_V)
@@ -209,16 +207,16 @@ class TestRunning:
         rig = make_rig()
         laws = {name: PidLaw(kp=kp, ki=0.0) for name, kp in zip(rig.axes, (10.0, 20.0, -1.0), strict=True)}
         steps = {"vertical": "step:0.1@0", "horizontal": "step:-0.05@0", "rotation": "step:1@0"}
-        gateway = HandGateway(rig, make_gateway(rig, laws, steps)).to(LifeCycleState.RUNNING)
+        gateway = make_running(rig, laws, steps)
         gateway.deadline()
         # vertical at 0.033 m, horizontal at 0, rotation at -0.33 rad
         (volts,) = commands(gateway.sample((6.0, 5.0, 4.0)))
         expected = (5 + 10 * (0.1 - 0.033), 5 + 20 * -0.05, 5 - (1 + 0.33))
         assert volts == pytest.approx(expected, abs=2 * COUNT_V)
 
-    def test_limits_act_and_the_cycle_tells_both_voltages(self) -> None:
+    def test_limits_act_and_the_cycle_has_the_voltages_before_and_after_them(self) -> None:
         rig = make_rig({"axes.vertical.valve.max_v": "6.5", "axes.horizontal.valve.max_rate_v_s": "10.0"})
-        gateway = HandGateway(rig, make_gateway(rig, PidLaw(kp=100.0, ki=0.0))).to(LifeCycleState.RUNNING)
+        gateway = make_running(rig, PidLaw(kp=100.0, ki=0.0))
         gateway.deadline()
         output = gateway.sample()
         assert commands(output)[0] == pytest.approx((6.5, 5.112, 9.48), abs=COUNT_V)
@@ -229,17 +227,17 @@ class TestRunning:
         assert horizontal.command_v == pytest.approx(5.112)
         assert rotation.command_v == pytest.approx(5 + 400 * 0.0112)
 
-    def test_the_law_is_told_what_the_limits_let_through(self) -> None:
-        """A proportional-integral law at its limit for 10 s leaves it as soon as the error turns."""
+    def test_a_control_law_at_its_limit_does_not_wind_up(self) -> None:
+        """A PI law that was at its limit for 10 s leaves it as soon as the error changes sign."""
         rig = make_rig({f"axes.{axis}.valve.max_v": "5.5" for axis in ("vertical", "horizontal", "rotation")})
-        gateway = HandGateway(rig, make_gateway(rig, PidLaw(kp=10.0, ki=20.0))).to(LifeCycleState.RUNNING)
+        gateway = make_running(rig, PidLaw(kp=10.0, ki=20.0))
         gateway.periods(900)
-        assert gateway.told.commands()[-1] == pytest.approx((5.5, 5.5, 5.5), abs=COUNT_V)
+        assert gateway.transcript.commands()[-1] == pytest.approx((5.5, 5.5, 5.5), abs=COUNT_V)
         gateway.period((9.0, 9.0, 9.0))
-        assert max(gateway.told.commands()[-1]) < 5.0
+        assert max(gateway.transcript.commands()[-1]) < 5.0
 
     def test_the_cycle_of_a_good_sample(self) -> None:
-        gateway = hand(LifeCycleState.RUNNING)
+        gateway = make_stepped(LifeCycleState.RUNNING)
         gateway.deadline(late_ns=300_000)
         deadline_ns = gateway.now_ns - 300_000
         (cycle,) = [gateway.sample((6.0, 5.0, 5.0), after_ns=700_000).cycle]
@@ -258,8 +256,8 @@ class TestRunning:
         assert vertical.command_v == 5.0 + vertical.output_v
         assert vertical.potentiometer_v == pytest.approx(6.0, abs=COUNT_V)
 
-    def test_before_it_runs_the_cycle_follows_the_position(self) -> None:
-        gateway = hand(LifeCycleState.ARMED)
+    def test_before_running_the_cycles_setpoint_follows_the_position(self) -> None:
+        gateway = make_stepped(LifeCycleState.ARMED)
         gateway.deadline()
         cycle = gateway.sample((6.0, 5.0, 5.0)).cycle
         assert cycle is not None
@@ -268,7 +266,7 @@ class TestRunning:
         assert (vertical.error, vertical.output_v, vertical.command_v) == (0.0, 0.0, 5.0)
 
     def test_without_a_sample_the_cycle_holds_the_last_signals(self) -> None:
-        gateway = hand(LifeCycleState.RUNNING)
+        gateway = make_stepped(LifeCycleState.RUNNING)
         gateway.deadline()
         good = gateway.sample().cycle
         gateway.deadline()
@@ -278,15 +276,17 @@ class TestRunning:
         assert held.axes == good.axes
 
     def test_a_period_with_a_sample_gives_one_cycle(self) -> None:
-        gateway = hand(LifeCycleState.RUNNING)
-        gateway.told.cycles.clear()
+        gateway = make_stepped(LifeCycleState.RUNNING)
+        gateway.transcript.cycles.clear()
         gateway.periods(10)
-        assert [cycle.number for cycle in gateway.told.cycles] == list(range(1, 11))
+        assert [cycle.number for cycle in gateway.transcript.cycles] == list(range(1, 11))
 
-    def test_time_begins_with_the_first_controlled_sample_and_runs_by_deadlines(self) -> None:
+    def test_the_setpoints_time_begins_with_the_first_controlled_sample_and_follows_the_deadlines(
+        self,
+    ) -> None:
         rig = make_rig()
-        gateway = HandGateway(rig, make_gateway(rig, setpoints="ladder:0.01,0.02,0.03@0/0.0112"))
-        gateway.to(LifeCycleState.ARMED)
+        gateway = SteppedGateway(rig, make_gateway(rig, setpoints="ladder:0.01,0.02,0.03@0/0.0112"))
+        gateway.bring_to(LifeCycleState.ARMED)
         gateway.periods(7)
         gateway.operate(Trigger.START)
         gateway.deadline()
@@ -299,60 +299,58 @@ class TestRunning:
             setpoints.append(cycle.axes[0].setpoint)
         assert setpoints == [0.01, 0.02, 0.03]
 
-    def test_a_step_at_1_12_s_comes_in_the_hundredth_sample(self) -> None:
+    def test_a_step_at_1_12_s_begins_after_100_samples(self) -> None:
         rig = make_rig()
-        gateway = HandGateway(rig, make_gateway(rig, setpoints="step:0.05@1.12")).to(LifeCycleState.RUNNING)
-        gateway.told.cycles.clear()
+        gateway = make_running(rig, setpoints="step:0.05@1.12")
+        gateway.transcript.cycles.clear()
         gateway.periods(102)
-        setpoints = [cycle.axes[0].setpoint for cycle in gateway.told.cycles]
+        setpoints = [cycle.axes[0].setpoint for cycle in gateway.transcript.cycles]
         assert setpoints == [0.0] * 100 + [0.05] * 2
 
-    def test_start_does_not_move_a_valve_whatever_the_error(self) -> None:
-        """Bumpless: an integrating law begins at the centre, at any position."""
+    def test_start_does_not_move_a_valve_at_any_error(self) -> None:
+        """An integrating control law starts without a bump at any position."""
         rig = make_rig()
-        gateway = HandGateway(rig, make_gateway(rig, PidLaw(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267)))
-        gateway.to(LifeCycleState.RUNNING)
+        gateway = make_running(rig, PidLaw(kp=11.0, ki=5.0, kd=0.27, tau_d=0.0267))
         gateway.deadline()
         assert commands(gateway.sample((9.0, 2.0, 5.0))) == [CENTRED]
         gateway.deadline()
         (volts,) = commands(gateway.sample((9.0, 2.0, 5.0)))
         assert max(abs(v - 5.0) for v in volts) < 0.1
 
-    def test_stop_centres_at_once_and_a_new_start_begins_anew(self) -> None:
+    def test_stop_centres_at_once_and_a_new_start_begins_at_time_0(self) -> None:
         rig = make_rig()
-        gateway = HandGateway(rig, make_gateway(rig, PidLaw(kp=11.0, ki=50.0), "step:0.05@0.1"))
-        gateway.to(LifeCycleState.RUNNING)
+        gateway = make_running(rig, PidLaw(kp=11.0, ki=50.0), "step:0.05@0.1")
         gateway.periods(40)
-        assert gateway.told.commands()[-1] != CENTRED
+        assert gateway.transcript.commands()[-1] != CENTRED
         output = gateway.operate(Trigger.STOP)
         assert commands(output) == [CENTRED]
         assert gateway.core._loops._axes[0].signals.command_v == 5.0
-        gateway.told.frames.clear()
+        gateway.transcript.frames.clear()
         gateway.periods(5)
-        assert set(gateway.told.commands()) == {CENTRED}
+        assert set(gateway.transcript.commands()) == {CENTRED}
         gateway.operate(Trigger.START)
-        gateway.told.cycles.clear()
+        gateway.transcript.cycles.clear()
         gateway.periods(20)
-        setpoints = [cycle.axes[0].setpoint for cycle in gateway.told.cycles]
+        setpoints = [cycle.axes[0].setpoint for cycle in gateway.transcript.cycles]
         assert setpoints == [0.0] * 9 + [0.05] * 11
-        assert gateway.told.cycles[0].axes[0].output_v == 0.0
+        assert gateway.transcript.cycles[0].axes[0].output_v == 0.0
 
     def test_start_after_the_periods_sample_waits_for_the_next(self) -> None:
-        gateway = hand(LifeCycleState.ARMED, adc__protected="false")
+        gateway = make_stepped(LifeCycleState.ARMED, adc__protected="false")
         gateway.period()
         gateway.operate(Trigger.START)
         again = sample_frame(gateway.volts, 0, protected=False)
-        assert commands(gateway.give(again)) == []
+        assert commands(gateway.receive(again)) == []
         assert len(commands(gateway.period())) == 1
 
     def test_the_rpdo_counter_goes_up_by_one_in_every_frame(self) -> None:
-        gateway = hand(LifeCycleState.RUNNING)
+        gateway = make_stepped(LifeCycleState.RUNNING)
         gateway.periods(300)
         gateway.operate(Trigger.STOP)
         gateway.periods(5)
-        gateway.give(Frame(codec.SYNC))  # a fault
+        gateway.receive(Frame(codec.SYNC))  # a fault
         gateway.periods(5)
-        frames = [frame for frame in gateway.told.frames if frame.id == codec.RPDO1_DAC]
+        frames = [frame for frame in gateway.transcript.frames if frame.id == codec.RPDO1_DAC]
         assert [frame.data[6] for frame in frames] == [k & 0xFF for k in range(len(frames))]
         assert all(frame.data[7] == crc8_j1850(frame.data[:7]) for frame in frames)
 
@@ -362,16 +360,16 @@ class TestOtherRigs:
         "axes",
         [("vertical",), ("horizontal",), ("rotation",), ("vertical", "rotation"), ("horizontal", "rotation")],
     )
-    def test_fewer_axes_leave_the_other_channels_centred(self, axes: tuple[str, ...]) -> None:
-        bench = Bench(make_rig(axes=axes)).run()
+    def test_channels_without_an_axis_are_centred(self, axes: tuple[str, ...]) -> None:
+        bench = RigBench(make_rig(axes=axes)).run()
         bench.periods(20)
         used = [{"vertical": 0, "horizontal": 1, "rotation": 2}[axis] for axis in axes]
-        for volts in bench.told.commands()[-10:]:
+        for volts in bench.transcript.commands()[-10:]:
             for channel in range(3):
                 assert (volts[channel] != 5.0) == (channel in used)
-        assert len(bench.told.cycles[-1].axes) == len(axes)
+        assert len(bench.transcript.cycles[-1].axes) == len(axes)
 
-    def test_channels_may_be_crossed(self) -> None:
+    def test_axes_may_use_the_channels_in_any_order(self) -> None:
         rig = make_rig(
             {
                 "axes.vertical.valve.channel": "3",
@@ -381,7 +379,7 @@ class TestOtherRigs:
             }
         )
         steps = {"vertical": "step:0.1@0", "horizontal": "step:0@0", "rotation": "step:-0.1@0"}
-        gateway = HandGateway(rig, make_gateway(rig, setpoints=steps)).to(LifeCycleState.RUNNING)
+        gateway = make_running(rig, setpoints=steps)
         gateway.deadline()
         # horizontal's potentiometer on channel 1 at 0.033 m
         (volts,) = commands(gateway.sample((6.0, 5.0, 5.0)))
@@ -389,48 +387,48 @@ class TestOtherRigs:
 
     @pytest.mark.parametrize(("adc", "dac"), [("true", "false"), ("false", "true"), ("false", "false")])
     def test_boards_without_counter_and_crc(self, adc: str, dac: str) -> None:
-        bench = Bench(make_rig({"adc.protected": adc, "dac.protected": dac})).run()
+        bench = RigBench(make_rig({"adc.protected": adc, "dac.protected": dac})).run()
         bench.periods(50)
         assert bench.gateway.state is LifeCycleState.RUNNING
         assert bench.gateway.rejected_frames == 0
-        lengths = {len(frame.data) for frame in bench.told.frames if frame.id == codec.RPDO1_DAC}
+        lengths = {len(frame.data) for frame in bench.transcript.frames if frame.id == codec.RPDO1_DAC}
         assert lengths == {8 if dac == "true" else 6}
         assert bench.boards.dac.valve_v != CENTRED
 
     def test_a_protected_gateway_rejects_an_unprotected_board(self) -> None:
-        gateway = hand()
+        gateway = make_stepped()
         gateway.deadline()
-        gateway.give(ADC_UP, DAC_UP)
-        gateway.give(sample_frame(CENTRED, 0, protected=False))
+        gateway.receive(ADC_UP, DAC_UP)
+        gateway.receive(sample_frame(CENTRED, 0, protected=False))
         assert gateway.state is LifeCycleState.OFFLINE
 
-    def test_another_centre(self) -> None:
+    def test_a_centre_voltage_other_than_5_v(self) -> None:
         changes = {"axes.vertical.valve.centre_v": "4.75", "axes.rotation.valve.centre_v": "5.25"}
-        gateway = HandGateway(make_rig(changes)).to(LifeCycleState.RUNNING)
+        gateway = SteppedGateway(make_rig(changes)).bring_to(LifeCycleState.RUNNING)
         centres = pytest.approx((4.75, 5.0, 5.25), abs=COUNT_V / 2)
-        assert gateway.told.commands()[0] == centres
+        assert gateway.transcript.commands()[0] == centres
         gateway.deadline()
         assert commands(gateway.sample())[0] == pytest.approx((5.75, 6.0, 6.25), abs=COUNT_V)
         assert commands(gateway.operate(Trigger.STOP))[0] == centres
 
-    def test_another_period(self) -> None:
-        bench = Bench(
+    def test_a_period_other_than_the_shipped_one(self) -> None:
+        bench = RigBench(
             make_rig({"loop.period_s": "0.02", "gateway.heartbeat_periods": "5"}), PidLaw(kp=5.0, ki=1.0)
         ).run()
         bench.periods(100)
         assert bench.gateway.state is LifeCycleState.RUNNING
-        assert bench.told.cycles[-1].deadline_ns - bench.told.cycles[-2].deadline_ns == 20_000_000
+        assert bench.transcript.cycles[-1].deadline_ns - bench.transcript.cycles[-2].deadline_ns == 20_000_000
 
 
 def test_the_closed_loop_reaches_its_setpoints() -> None:
-    bench = Bench(make_rig(), PidLaw(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162), "step:0.1@0.5").run()
+    bench = RigBench(make_rig(), PidLaw(kp=11.013, ki=5.6444, kd=38.639, tau_d=74.162), "step:0.1@0.5").run()
     bench.periods(round(6 / 0.0112))
     assert bench.gateway.state is LifeCycleState.RUNNING
-    for axis in bench.told.cycles[-1].axes:
+    for axis in bench.transcript.cycles[-1].axes:
         assert axis.position == pytest.approx(0.1, abs=0.002)
     assert bench.gateway.rejected_frames == bench.gateway.missed_periods == bench.gateway.lost_samples == 0
 
 
-def test_the_first_deadline_is_the_shells() -> None:
+def test_the_shell_chooses_the_first_deadline() -> None:
     assert make_gateway(make_rig(), first_deadline_ns=77).next_deadline_ns == 77
-    assert hand().core.next_deadline_ns == START_NS
+    assert make_stepped().core.next_deadline_ns == START_NS

@@ -7,11 +7,10 @@ import math
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from support.constants import PERIOD_NS
 
 from hil.core.errors import SetpointError
 from hil.core.setpoints import FORMS, check_within, csv_file, parse_setpoint
-
-PERIOD_NS = 11_200_000
 
 
 def at(text: str, t: float, csv_text: str = "") -> float:

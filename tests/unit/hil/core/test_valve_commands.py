@@ -1,4 +1,4 @@
-"""The one way to a valve: magnitude, rate, centre, channels, counter and CRC of every RPDO1 frame."""
+"""Limits of magnitude and rate, centring, channels, counter and CRC of every RPDO1_DAC frame."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.constants import PERIOD_S
 from support.gateway_bench import commands_v, rig_text
 
 import hil
@@ -19,7 +20,6 @@ from hil.core.valve_commands import ValveCommands
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
 
-PERIOD_S = 0.0112
 TINY = 1e-9
 
 
@@ -33,19 +33,19 @@ def valve(
     return Valve(channel=channel, centre_v=centre_v, min_v=min_v, max_v=max_v, max_rate_v_s=max_rate_v_s)
 
 
-def one(**limits: float) -> ValveCommands:
+def one_valve(**limits: float) -> ValveCommands:
     return ValveCommands([valve(**limits)], PERIOD_S, True)  # type: ignore[arg-type]
 
 
 def is_allowed(limits: Valve) -> bool:
-    """What a rig file may hold: the centre a count away from limits that a frame can carry."""
+    """Whether a rig file may have these limits: a frame can carry them, and the centre is a count inside."""
     lowest, highest = limits.min_v + VOLTS_PER_COUNT, limits.max_v - VOLTS_PER_COUNT
     return lowest <= limits.centre_v <= highest and limits.max_v <= HIGHEST_WIRE_V
 
 
 class TestMagnitude:
-    def test_inside_the_limits_the_offset_passes_unchanged(self) -> None:
-        commands = one()
+    def test_an_offset_inside_the_limits_is_unchanged(self) -> None:
+        commands = one_valve()
         assert commands.command(0, 1.2345) == 1.2345
         assert commands.volts == [6.2345]
         assert commands_v(commands.frame())[0] == pytest.approx(6.2345, abs=VOLTS_PER_COUNT / 2)
@@ -54,8 +54,8 @@ class TestMagnitude:
         ("offset", "allowed"),
         [(2.0, 2.0), (2.5, 2.5), (2.5001, 2.5), (1e300, 2.5), (-1.0, -1.0), (-1.5, -1.5), (-1e300, -1.5)],
     )
-    def test_beyond_them_it_is_cut(self, offset: float, allowed: float) -> None:
-        commands = one(min_v=3.5, max_v=7.5, max_rate_v_s=1e9)
+    def test_an_offset_beyond_the_limits_is_limited(self, offset: float, allowed: float) -> None:
+        commands = one_valve(min_v=3.5, max_v=7.5, max_rate_v_s=1e9)
         assert commands.command(0, offset) == pytest.approx(allowed, abs=VOLTS_PER_COUNT)
         (volts, *_) = commands_v(commands.frame())
         assert 3.5 <= volts <= 7.5
@@ -65,10 +65,10 @@ class TestMagnitude:
         ("min_v", "max_v", "lowest", "highest"),
         [(0.0, HIGHEST_WIRE_V, 0, 32767), (1.0001, 8.9999, 3278, 29490), (2.5, 7.5, 8192, 24576)],
     )
-    def test_rounding_to_the_wire_stays_inside(
+    def test_rounding_to_counts_stays_inside_the_limits(
         self, min_v: float, max_v: float, lowest: int, highest: int
     ) -> None:
-        commands = one(min_v=min_v, max_v=max_v, max_rate_v_s=1e9)
+        commands = one_valve(min_v=min_v, max_v=max_v, max_rate_v_s=1e9)
         for offset, counts in ((-99.0, lowest), (99.0, highest)):
             commands.command(0, offset)
             (volts, *_) = commands_v(commands.frame())
@@ -77,43 +77,43 @@ class TestMagnitude:
 
 
 class TestRate:
-    def test_a_step_takes_its_time(self) -> None:
-        commands = one(max_rate_v_s=100.0)  # 1.12 V a period
+    def test_a_step_is_spread_over_periods(self) -> None:
+        commands = one_valve(max_rate_v_s=100.0)  # 1.12 V a period
         steps = [commands.command(0, 3.0) for _ in range(4)]
         assert steps == pytest.approx([1.12, 2.24, 3.0, 3.0])
 
-    def test_down_as_well_as_up(self) -> None:
-        commands = one(max_rate_v_s=100.0)
+    def test_the_rate_limit_acts_downwards_too(self) -> None:
+        commands = one_valve(max_rate_v_s=100.0)
         assert [commands.command(0, -3.0) for _ in range(3)] == pytest.approx([-1.12, -2.24, -3.0])
         assert commands.command(0, 3.0) == pytest.approx(-1.88)
 
-    def test_exactly_the_rate_passes_unchanged(self) -> None:
-        commands = one(max_rate_v_s=100.0)
+    def test_a_change_at_exactly_the_rate_is_unchanged(self) -> None:
+        commands = one_valve(max_rate_v_s=100.0)
         assert commands.command(0, 100.0 * PERIOD_S) == 100.0 * PERIOD_S
 
-    def test_it_counts_from_what_was_allowed_not_asked(self) -> None:
-        commands = one(max_v=6.0, max_rate_v_s=100.0)
+    def test_the_rate_counts_from_the_limited_command(self) -> None:
+        commands = one_valve(max_v=6.0, max_rate_v_s=100.0)
         for _ in range(10):
             commands.command(0, 50.0)
         assert commands.command(0, 0.0) == pytest.approx(0.0)
 
-    def test_slower_than_a_count_a_period_still_moves(self) -> None:
-        commands = one(max_rate_v_s=VOLTS_PER_COUNT / PERIOD_S / 4)
+    def test_a_rate_below_a_count_per_period_still_moves_the_valve(self) -> None:
+        commands = one_valve(max_rate_v_s=VOLTS_PER_COUNT / PERIOD_S / 4)
         moved = [commands_v((commands.command(0, 5.0), commands.frame())[1])[0] for _ in range(9)]
         assert moved[-1] == pytest.approx(5.0 + 2 * VOLTS_PER_COUNT)
 
 
 class TestCentre:
-    def test_it_is_immediate_whatever_the_rate(self) -> None:
-        commands = one(max_rate_v_s=1.0)
+    def test_centring_ignores_the_rate_limit(self) -> None:
+        commands = one_valve(max_rate_v_s=1.0)
         for _ in range(500):
             commands.command(0, 4.0)
         assert commands_v(commands.frame())[0] > 8.9
         commands.centre()
         assert commands_v(commands.frame())[0] == 5.0
 
-    def test_the_next_command_leaves_from_there(self) -> None:
-        commands = one(max_rate_v_s=100.0)
+    def test_the_next_command_starts_at_the_centre(self) -> None:
+        commands = one_valve(max_rate_v_s=100.0)
         commands.command(0, 1.0)
         commands.centre()
         assert commands.command(0, -5.0) == pytest.approx(-1.12)
@@ -123,11 +123,26 @@ class TestCentre:
         assert commands.volts == [4.5, 5.5]
         assert commands_v(commands.frame()) == pytest.approx((5.5, 4.5, 5.0), abs=VOLTS_PER_COUNT / 2)
 
-    def test_a_valve_is_not_moved_by_another(self) -> None:
+    def test_a_command_moves_only_its_own_valve(self) -> None:
         commands = ValveCommands([valve(1), valve(2), valve(3)], PERIOD_S, True)
         commands.command(1, 2.0)
         assert commands_v(commands.frame()) == pytest.approx((5.0, 7.0, 5.0), abs=VOLTS_PER_COUNT / 2)
         assert commands.volts == [5.0, 7.0, 5.0]
+
+
+class TestChangeTime:
+    """100 V/s is 1.12 V in a period."""
+
+    @pytest.mark.parametrize(
+        ("elapsed_s", "allowed_v"),
+        [(-1.0, 0.0), (0.0, 0.0), (PERIOD_S / 2, 0.56), (PERIOD_S, 1.12), (1.0, 1.12)],
+    )
+    def test_the_change_follows_the_elapsed_time_up_to_one_period(
+        self, elapsed_s: float, allowed_v: float
+    ) -> None:
+        commands = one_valve(max_rate_v_s=100.0)
+        commands.set_change_time(elapsed_s)
+        assert commands.command(0, 3.0) == pytest.approx(allowed_v)
 
 
 class TestFrame:
@@ -142,7 +157,7 @@ class TestFrame:
             assert volts[channel - 1] == pytest.approx(expected, abs=VOLTS_PER_COUNT / 2)
 
     def test_counter_and_crc(self) -> None:
-        commands = one()
+        commands = one_valve()
         for k in range(600):
             frame = commands.frame()
             assert (frame.id, len(frame.data)) == (codec.RPDO1_DAC, 8)
@@ -150,7 +165,7 @@ class TestFrame:
             assert frame.data[7] == crc8_j1850(frame.data[:7])
             assert frame == Frame(codec.RPDO1_DAC, frame.data)  # neither extended nor remote
 
-    def test_unprotected_is_the_voltages_alone(self) -> None:
+    def test_an_unprotected_frame_has_the_voltages_only(self) -> None:
         protected = ValveCommands([valve()], PERIOD_S, True)
         unprotected = ValveCommands([valve()], PERIOD_S, False)
         for commands in (protected, unprotected):
@@ -168,7 +183,7 @@ def any_valves() -> st.SearchStrategy[Valve]:
 
 @given(any_valves())
 @settings(max_examples=30)
-def test_a_rig_file_may_hold_exactly_these(limits: Valve) -> None:
+def test_the_rig_file_accepts_exactly_the_allowed_limits(limits: Valve) -> None:
     keys = {f"axes.vertical.valve.{key}": repr(getattr(limits, key)) for key in Valve.__struct_fields__}
     text = rig_text(keys, axes=("vertical",))
     if is_allowed(limits):
@@ -190,7 +205,7 @@ offsets = (
 def test_no_sequence_of_offsets_leaves_the_limits(
     limits: Valve, asked: list[float | None], protected: bool
 ) -> None:
-    """None centres, which may be any step; everything else keeps the rate, to a count of the wire."""
+    """None stands for centring, which may be any step. Other commands keep the rate limit, to one count."""
     commands = ValveCommands([limits], PERIOD_S, protected)
     before = commands_v(commands.frame())[limits.channel - 1]
     for offset in asked:
@@ -207,8 +222,8 @@ def test_no_sequence_of_offsets_leaves_the_limits(
         before = sent
 
 
-class TestNoOtherWay:
-    """Nothing but hil/core/valve_commands.py encodes RPDO1_DAC or builds a frame with its identifier."""
+class TestNoOtherModuleMakesCommands:
+    """Only hil/core/valve_commands.py encodes RPDO1_DAC or builds a frame with its identifier."""
 
     SOURCES = sorted(Path(hil.__file__).parent.rglob("*.py"))
     ALLOWED = ("valve_commands.py",)
@@ -232,7 +247,7 @@ class TestNoOtherWay:
                         found.append(f"line {node.lineno}: a frame with the identifier of RPDO1_DAC")
         return found
 
-    def test_only_limits_does(self) -> None:
+    def test_no_other_module_makes_a_command(self) -> None:
         assert len(self.SOURCES) > 20
         offenders = {
             str(path): offences
@@ -242,9 +257,9 @@ class TestNoOtherWay:
         }
         assert offenders == {}
 
-    def test_limits_itself_would_be_found(self) -> None:
-        limits = Path(hil.__file__).parent / "core" / "valve_commands.py"
-        assert len(self.offences(ast.parse(limits.read_text()))) == 3
+    def test_the_search_finds_valve_commands_itself(self) -> None:
+        path = Path(hil.__file__).parent / "core" / "valve_commands.py"
+        assert len(self.offences(ast.parse(path.read_text()))) == 3
 
     @pytest.mark.parametrize(
         "line",
@@ -259,5 +274,5 @@ class TestNoOtherWay:
             "encoders = [encode_rpdo1_dac]",
         ],
     )
-    def test_every_shape_of_it_is_found(self, line: str) -> None:
+    def test_the_search_finds_every_form(self, line: str) -> None:
         assert self.offences(ast.parse(line))

@@ -1,4 +1,4 @@
-"""The real-time shell on a clock and a link of the test's own: late wake-ups, failing links, a stop."""
+"""The real-time shell on a simulated clock and link: late wake-ups, failing links, a stop request."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.constants import CENTRED, PERIOD_NS, PERIOD_S
 
 from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
@@ -18,7 +19,7 @@ from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import Cycle, LogEntry, Severity
-from hil.core.sample_guard import SampleGuard
+from hil.core.sample_guard import SampleGuard, Verdict
 from hil.core.wire import codec
 from hil.links import Received
 from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
@@ -29,10 +30,9 @@ from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
 from hil.shells.run_setup import RunSetup, load_setup
 from hil.shells.session import Session
 
-PERIOD_NS = 11_200_000
 LATENCY_NS = 400_000
 RUN_S = 1.0
-MOST_REFUSED = 5
+MAX_REFUSED = 5
 
 
 class Clock:
@@ -47,7 +47,7 @@ class Clock:
 
 
 class LinkToBoards:
-    """Simulated boards behind a link; answers take a while, and the test can break it or hold time up."""
+    """Simulated boards behind a link with latency. A test can make the link fail, or let time jump."""
 
     def __init__(self, setup: RunSetup, clock: Clock) -> None:
         self._boards = SimulatedRig(setup.rig, LinearPlant(setup.rig))
@@ -57,23 +57,23 @@ class LinkToBoards:
         self.fails_after_sent: int | None = None
         self.fails_after_received: int | None = None
         self.stall_ns: dict[int, int] = {}
-        """After so many sent frames, time jumps by so much."""
+        """Time jumps: after which number of sent frames, by how much."""
         self.stall_at_sync_ns: dict[int, int] = {}
-        """After so many SYNC frames, time jumps by so much."""
+        """Time jumps: after which number of SYNC frames, by how much."""
         self.wakes_late_ns: dict[int, int] = {}
-        """After so many SYNC frames, waiting in vain takes so much longer than it should."""
+        """Late wake-ups: after which number of SYNC frames a timeout lasts longer, by how much."""
         self.babble_at_sync: dict[int, int] = {}
-        """After so many SYNC frames, so many frames that nobody knows."""
-        self.mended_by_reopening = 10**9
-        """Opened anew so often, a link that fails works again."""
+        """Unknown frames: after which number of SYNC frames, how many."""
+        self.works_after_reopening = 10**9
+        """How often a failed link must be opened again before it works."""
         self.refuses: Callable[[Frame], bool] = lambda _frame: False
         self.unreadable_at: dict[int, int] = {}
-        """After so many received frames, so many that cannot be read."""
+        """Unreadable frames: after which number of received frames, how many."""
         self.sent = self.received = self.syncs = self.reopened = self.unreadable = 0
         self._push(self._boards.start(clock.now_ns))
 
     def send(self, frame: Frame) -> bool:
-        if self.sent == self.fails_after_sent and self.reopened < self.mended_by_reopening:
+        if self.sent == self.fails_after_sent and self.reopened < self.works_after_reopening:
             raise LinkError("cannot send: unplugged")
         if self.refuses(frame):
             return False
@@ -89,7 +89,7 @@ class LinkToBoards:
 
     def reopen(self) -> None:
         self.reopened += 1
-        if self.reopened < self.mended_by_reopening:
+        if self.reopened < self.works_after_reopening:
             raise LinkError("cannot be opened: unplugged")
 
     def receive(self, timeout_s: float) -> Received | None:
@@ -111,28 +111,28 @@ class LinkToBoards:
         self._waiting.extend((self._clock.now_ns + LATENCY_NS, frame) for frame in frames)
 
 
-class Audience:
+class Listener:
     def __init__(self) -> None:
-        self.events: list[LogEntry] = []
+        self.entries: list[LogEntry] = []
         self.cycles: list[Cycle] = []
 
-    def log(self, event: LogEntry) -> None:
-        self.events.append(event)
+    def log(self, entry: LogEntry) -> None:
+        self.entries.append(entry)
 
     def cycle(self, cycle: Cycle, _gateway: Gateway) -> None:
         self.cycles.append(cycle)
 
 
 class Bench:
-    """One run; ``finish`` gives its recording."""
+    """One run in real time, simulated. ``run`` returns its recording."""
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self.setup = load_setup(None, {}, {})
         self.clock = clock
         self.link = LinkToBoards(self.setup, clock)
         self.stop = StopRequest()
-        self.plan = RunPlan(RUN_S, PERIOD_NS / 1e9)
-        self.audience = Audience()
+        self.plan = RunPlan(RUN_S, PERIOD_S)
+        self.observer = Listener()
         self.path = folder / "run.mcap"
         texts = {name: ("text/plain", text.encode()) for name, text in self.setup.texts.items()}
         setpoints = {name: setpoint.text for name, setpoint in self.setup.setpoints.items()}
@@ -141,7 +141,7 @@ class Bench:
         self._recorder = Recorder(self.path, header, lossless=True)
         self.gateway = self.setup.gateway(clock.now_ns + PERIOD_NS)
         self.session = Session(
-            self.gateway, self.plan, self.link.send, clock, self._recorder, self.audience, MOST_REFUSED
+            self.gateway, self.plan, self.link.send, clock, self._recorder, self.observer, MAX_REFUSED
         )
         self.error: Exception | None = None
 
@@ -171,7 +171,7 @@ def test_a_run_completes_and_its_recording_verifies(bench: Bench) -> None:
     assert sum(timing["state"] == LifeCycleState.RUNNING) == RUN_S * 1e9 // PERIOD_NS + 1
     assert set(timing["wake_ns"] - timing["deadline_ns"]) == {0}
     assert set((timing["receive_ns"] - timing["wake_ns"])[timing["fresh"]]) == {LATENCY_NS}
-    assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+    assert commands(recording)[-1] == CENTRED
     assert verify(recording).frames_compared == bench.link.sent
 
 
@@ -180,7 +180,7 @@ def test_a_stop_request_centres_the_valves(bench: Bench) -> None:
     recording = bench.run()
     assert bench.plan.ending is Ending.INTERRUPTED
     assert len(recording.timing()) < 10
-    assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+    assert commands(recording)[-1] == CENTRED
 
 
 def test_missed_deadlines_are_skipped_never_caught_up(bench: Bench) -> None:
@@ -196,18 +196,18 @@ def test_missed_deadlines_are_skipped_never_caught_up(bench: Bench) -> None:
     assert verify(recording).frames_compared == bench.link.sent
 
 
-def test_a_long_stall_is_a_fault_that_says_what_it_was(bench: Bench) -> None:
+def test_a_long_stall_is_a_fault_that_names_the_limit(bench: Bench) -> None:
     bench.link.stall_ns = {100: 100_000_000}
     recording = bench.run()
     assert bench.plan.ending is Ending.FAULT
     assert bench.gateway.fault_reason is not None
     assert "limit 5 (rig: adc.stale_after_periods)" in bench.gateway.fault_reason
-    assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+    assert commands(recording)[-1] == CENTRED
     assert verify(recording).frames_compared == bench.link.sent
 
 
-def test_an_answer_that_waits_is_taken_before_a_late_deadline(bench: Bench) -> None:
-    """Else it would be mistaken for an answer to the next SYNC, and rejected."""
+def test_a_waiting_answer_is_read_before_a_late_deadline(bench: Bench) -> None:
+    """Otherwise it would be taken for an answer to the next SYNC, and rejected."""
     bench.link.wakes_late_ns = {50: 5_000_000}
     bench.link.stall_at_sync_ns = {51: 8_000_000}
     recording = bench.run()
@@ -220,23 +220,23 @@ def test_an_answer_that_waits_is_taken_before_a_late_deadline(bench: Bench) -> N
     assert verify(recording).frames_compared == bench.link.sent
 
 
-def test_a_babbling_bus_does_not_put_a_deadline_off(bench: Bench) -> None:
-    """So many frames of a backlog, then what is due."""
+def test_a_babbling_bus_does_not_delay_a_deadline(bench: Bench) -> None:
+    """At most 64 waiting frames are read before a deadline that is due."""
     bench.link.stall_at_sync_ns = {50: 12_000_000}
-    bench.link.babble_at_sync = {50: 3 * realtime.MOST_WAITING_FRAMES}
+    bench.link.babble_at_sync = {50: 3 * realtime.MAX_WAITING_FRAMES}
     recording = bench.run()
     assert bench.plan.ending is Ending.COMPLETED
     kinds = [type(call) for call in recording.calls()]
     begins = [place for place, kind in enumerate(kinds) if kind is DeadlineCalled]
     received = [kinds[start:end].count(FrameReceived) for start, end in pairwise(begins)]
-    assert received[49] == realtime.MOST_WAITING_FRAMES
-    assert sum(received[49:52]) > 3 * realtime.MOST_WAITING_FRAMES
+    assert received[49] == realtime.MAX_WAITING_FRAMES
+    assert sum(received[49:52]) > 3 * realtime.MAX_WAITING_FRAMES
     assert verify(recording).frames_compared == bench.link.sent
 
 
 @pytest.mark.parametrize("at", range(100, 106))
 def test_a_link_that_fails_to_send_ends_the_run_and_still_verifies(bench: Bench, at: int) -> None:
-    """Whichever frame of an answer it takes with it."""
+    """The link fails at each of the frames that a call of the core returns."""
     bench.link.fails_after_sent = at
     recording = bench.run()
     assert bench.plan.ending is Ending.LINK
@@ -250,36 +250,36 @@ def test_a_link_that_fails_to_receive_ends_the_run_and_still_verifies(bench: Ben
     recording = bench.run()
     assert bench.plan.ending is Ending.LINK
     assert bench.gateway.fault_reason == "link: cannot receive: unplugged"
-    assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+    assert commands(recording)[-1] == CENTRED
     assert verify(recording).frames_compared == bench.link.sent
 
 
 @pytest.mark.parametrize("at", range(100, 106))
-def test_a_link_that_works_again_when_opened_anew_centres_the_valves(bench: Bench, at: int) -> None:
+def test_a_link_that_works_after_reopening_centres_the_valves(bench: Bench, at: int) -> None:
     bench.link.fails_after_sent = at
-    bench.link.mended_by_reopening = 4
+    bench.link.works_after_reopening = 4
     recording = bench.run()
     assert bench.plan.ending is Ending.LINK
     assert bench.link.reopened == 4
-    assert commands(recording)[-CENTRING_PERIODS:] == [(5.0, 5.0, 5.0)] * CENTRING_PERIODS
-    assert bench.audience.events[-1].text == "the valves were centred: the command left 3 times"
+    assert commands(recording)[-CENTRING_PERIODS:] == [CENTRED] * CENTRING_PERIODS
+    assert bench.observer.entries[-1].text == "the valves were centred: the command was sent 3 times"
     assert verify(recording).frames_compared == bench.link.sent > at
 
 
-def test_a_link_that_stays_away_leaves_the_valves_to_the_watchdog(bench: Bench) -> None:
+def test_a_link_that_stays_broken_leaves_the_valves_to_the_watchdog(bench: Bench) -> None:
     bench.link.fails_after_sent = 100
     recording = bench.run()
-    assert bench.audience.events[-1] == LogEntry(
+    assert bench.observer.entries[-1] == LogEntry(
         Severity.ERROR,
         "link",
-        "the command that centres the valves left 0 times, not 3: the DAC board's watchdog has to centre "
-        "them (rig: dac.watchdog_periods)",
+        "the command that centres the valves was sent 0 times, not 3: the DAC board's watchdog has to "
+        "centre them (rig: dac.watchdog_periods)",
     )
     tried_for_ns = bench.clock.now_ns - next(ns for ns, e in recording.log() if e.severity is Severity.FATAL)
-    assert 0 <= tried_for_ns - realtime.CENTRING_PATIENCE_NS < 2 * PERIOD_NS
+    assert 0 <= tried_for_ns - realtime.CENTRING_TIMEOUT_NS < 2 * PERIOD_NS
 
 
-def test_a_link_that_fails_while_a_completed_run_ends_is_no_success(bench: Bench) -> None:
+def test_a_link_that_fails_while_a_completed_run_ends_is_a_failure(bench: Bench) -> None:
     """The last frames of a run are those that centre the valves."""
 
     def refuses(_frame: Frame) -> bool:
@@ -297,8 +297,8 @@ def refused(recording: Recording) -> int:
     return sum(isinstance(c, Operated) and c.command.startswith(NOT_SENT) for c in recording.calls())
 
 
-def test_a_frame_that_a_full_queue_refuses_is_not_recorded_as_sent(bench: Bench) -> None:
-    """It is told, and the run goes on: at the next period the command is another."""
+def test_a_frame_that_a_full_queue_refuses_is_recorded_as_not_sent(bench: Bench) -> None:
+    """The refusal is reported and the run continues, because the next period has a new command."""
     asked: list[Frame] = []
 
     def refuses(frame: Frame) -> bool:
@@ -311,13 +311,13 @@ def test_a_frame_that_a_full_queue_refuses_is_not_recorded_as_sent(bench: Bench)
     assert bench.plan.ending is Ending.COMPLETED
     assert refused(recording) == 4
     assert len(asked) == bench.link.sent + 4
-    told = [event.text for event in bench.audience.events if event.source == "link"]
-    assert told[0].startswith("the bus took no frame, its queue is full: ")
-    assert told[-1].endswith("4 frames not sent so far")
+    texts = [entry.text for entry in bench.observer.entries if entry.source == "link"]
+    assert texts[0].startswith("the bus' transmit queue is full: ")
+    assert texts[-1].endswith("4 frames not sent so far")
     assert verify(recording).frames_compared == bench.link.sent
 
 
-def test_a_frame_recorded_as_not_sent_is_compared_too(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replay_compares_frames_that_were_not_sent(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bench.link.refuses = lambda frame: frame.id == codec.HEARTBEAT_GATEWAY
     monkeypatch.setattr(Frame, "__str__", lambda frame: f"{frame.id:03X}#")
     recording = bench.run()
@@ -326,8 +326,8 @@ def test_a_frame_recorded_as_not_sent_is_compared_too(bench: Bench, monkeypatch:
         verify(recording)
 
 
-def test_commands_refused_in_a_row_are_a_failed_link(bench: Bench) -> None:
-    """The valves would hold for good, and the plant run away."""
+def test_several_commands_refused_in_a_row_are_a_failed_link(bench: Bench) -> None:
+    """Otherwise the valves would hold their last command, and the plant would run away."""
     bench.link.refuses = lambda frame: bench.link.syncs > 60 and frame.id == codec.RPDO1_DAC
     recording = bench.run()
     assert bench.plan.ending is Ending.LINK
@@ -335,33 +335,34 @@ def test_commands_refused_in_a_row_are_a_failed_link(bench: Bench) -> None:
     assert bench.gateway.fault_reason.startswith(
         "link: 5 valve commands in a row were not sent, limit 5 (rig: adc.stale_after_periods)"
     )
-    assert bench.link.syncs < 60 + MOST_REFUSED + realtime.CENTRING_PATIENCE_NS // PERIOD_NS + 3
-    assert refused(recording) > MOST_REFUSED
+    assert bench.link.syncs < 60 + MAX_REFUSED + realtime.CENTRING_TIMEOUT_NS // PERIOD_NS + 3
+    assert refused(recording) > MAX_REFUSED
     assert verify(recording).frames_compared == bench.link.sent
 
 
-def test_unreadable_frames_are_told_when_their_number_has_doubled(bench: Bench) -> None:
+def test_unreadable_frames_are_reported_when_their_number_has_doubled(bench: Bench) -> None:
     bench.link.unreadable_at = {20: 1, 30: 1, 40: 1, 50: 7, 60: 1}
     recording = bench.run()
-    told = [event.text for _, event in recording.log() if event.source == "link"]
-    assert [text.split()[0] for text in told] == ["1", "2", "10"]
+    texts = [entry.text for _, entry in recording.log() if entry.source == "link"]
+    assert [text.split()[0] for text in texts] == ["1", "2", "10"]
+    assert texts[0] == "1 unreadable frames discarded so far: not classic CAN, or corrupt"
     assert verify(recording).frames_compared == bench.link.sent
 
 
 class TestAnInternalError:
-    """Wherever it comes from, it is a FATAL event, and the valves are centred."""
+    """An internal error is a fatal log entry, and the valves are centred."""
 
     def check(self, bench: Bench, error: type[Exception]) -> None:
         recording = bench.run()
         assert isinstance(bench.error, error)
         assert bench.plan.ending is Ending.ERROR
-        assert commands(recording)[-CENTRING_PERIODS:] == [(5.0, 5.0, 5.0)] * CENTRING_PERIODS
-        told = recording.log()[-1][1]
-        assert told.severity is Severity.FATAL
-        assert told.text == f"internal error, the run was ended: {error.__name__}: {bench.error}"
+        assert commands(recording)[-CENTRING_PERIODS:] == [CENTRED] * CENTRING_PERIODS
+        last = recording.log()[-1][1]
+        assert last.severity is Severity.FATAL
+        assert last.text == f"an internal error ended the run: {error.__name__}: {bench.error}"
         assert verify(recording).frames_compared == bench.link.sent
 
-    def test_of_the_link(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_in_the_link(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         receive = bench.link.receive
 
         def failing(timeout_s: float) -> Received | None:
@@ -372,7 +373,7 @@ class TestAnInternalError:
         monkeypatch.setattr(bench.link, "receive", failing)
         self.check(bench, KeyError)
 
-    def test_of_the_recorder(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_in_the_recorder(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         received = bench.link.receive
 
         def strange(timeout_s: float) -> Received | None:
@@ -384,10 +385,10 @@ class TestAnInternalError:
         monkeypatch.setattr(bench.link, "receive", strange)
         self.check(bench, struct.error)
 
-    def test_of_the_core_which_replay_repeats(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_in_the_core_and_replay_repeats_it(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         check = SampleGuard.check
 
-        def failing(guard: SampleGuard, data: bytes, now_ns: int) -> list[float] | str:
+        def failing(guard: SampleGuard, data: bytes, now_ns: int) -> Verdict:
             if data[6] == 50:
                 raise ZeroDivisionError("float division by zero")
             return check(guard, data, now_ns)
@@ -398,7 +399,7 @@ class TestAnInternalError:
         with pytest.raises(ReplayMismatchError, match="the core sends"):
             verify(Recording(bench.path))
 
-    def test_of_a_send_within_an_answer(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_while_sending(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         send = bench.link.send
 
         def failing(frame: Frame) -> bool:
@@ -410,11 +411,11 @@ class TestAnInternalError:
         monkeypatch.setattr(bench.session, "_send", failing)
         recording = bench.run()
         assert isinstance(bench.error, TypeError)
-        assert commands(recording)[-1] == (5.0, 5.0, 5.0)
+        assert commands(recording)[-1] == CENTRED
         assert verify(recording).frames_compared == bench.link.sent - 1
 
 
-def test_a_command_is_sent_when_the_link_has_taken_it(bench: Bench) -> None:
+def test_the_sending_time_is_taken_when_the_link_has_taken_the_frame(bench: Bench) -> None:
     bench.link.send_takes_ns = 30_000
     recording = bench.run()
     running = recording.timing()[recording.timing()["state"] == LifeCycleState.RUNNING]
@@ -423,7 +424,7 @@ def test_a_command_is_sent_when_the_link_has_taken_it(bench: Bench) -> None:
     assert set(running["wake_ns"] + 30_000) <= set(recording.times_sent(codec.SYNC))
 
 
-def test_people_are_told_of_every_event_and_period_and_of_the_recorders_troubles(
+def test_the_observer_gets_every_log_entry_and_period_and_the_recorders_news(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     note = LogEntry(Severity.INFO, "rights", "granted: nothing")
@@ -438,11 +439,11 @@ def test_people_are_told_of_every_event_and_period_and_of_the_recorders_troubles
     monkeypatch.setattr(Recorder, "hand_over", hand_over)
     bench.session.note(note)
     recording = bench.run()
-    recorded = [event for _, event in recording.log()]
+    recorded = [entry for _, entry in recording.log()]
     assert note in recorded
-    assert [event for event in bench.audience.events if event != news] == recorded
-    assert bench.audience.events.count(news) == 1
-    assert [cycle.number for cycle in bench.audience.cycles] == list(recording.timing()["number"])
+    assert [entry for entry in bench.observer.entries if entry != news] == recorded
+    assert bench.observer.entries.count(news) == 1
+    assert [cycle.number for cycle in bench.observer.cycles] == list(recording.timing()["number"])
     report = verify(recording)
     assert report.frames_compared == bench.link.sent
     assert report.log_entries_compared == len(recorded) - 1, "the core gave no rights"

@@ -1,9 +1,10 @@
-"""What an unattended run asks for and when, to the period; driven on a real core."""
+"""The triggers of a run without an operator, to the period, on a real gateway core."""
 
 from __future__ import annotations
 
 import pytest
-from support.gateway_bench import Bench, HandGateway, commands, hand, make_rig
+from support.constants import CENTRED, PERIOD_S
+from support.gateway_bench import RigBench, SteppedGateway, commands, make_rig, make_stepped
 
 from firmware_sim.boards.faults import AdcFaults
 from hil.core.frames import Frame
@@ -12,15 +13,12 @@ from hil.core.output import Output
 from hil.core.wire import codec
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
 
-PERIOD_S = 0.0112
-CENTRED = (5.0, 5.0, 5.0)
-
 
 class PlannedRun:
-    """A bench and a plan, stepped as the shells do: a period begins, then the plan acts."""
+    """A bench and a plan, stepped as the shells do it: a period begins, then the plan gives its trigger."""
 
     def __init__(self, duration_s: float, bring_up_s: float = 5.0) -> None:
-        self.bench = Bench(make_rig())
+        self.bench = RigBench(make_rig())
         self.plan = RunPlan(duration_s, PERIOD_S, bring_up_s)
         self.triggers: list[tuple[int, Trigger]] = []
         self.number = 0
@@ -34,7 +32,7 @@ class PlannedRun:
         self.number += 1
 
     def until(self, ending: Ending | None = None) -> None:
-        """Until the run is over, or first ends in ``ending``."""
+        """Step until the run is over, or until it ends for the reason ``ending``."""
         for _ in range(2000):
             if self.plan.is_over or (ending is not None and self.plan.ending is ending):
                 return
@@ -46,8 +44,8 @@ class PlannedRun:
             self.period()
 
 
-def stepped(plan: RunPlan, gateway: HandGateway) -> Trigger | None:
-    """One period of a gateway whose boards a test plays."""
+def stepped(plan: RunPlan, gateway: SteppedGateway) -> Trigger | None:
+    """One period of a gateway without boards; the plan's trigger."""
     gateway.deadline()
     return plan.after_period(gateway.core)
 
@@ -61,46 +59,46 @@ class TestOrder:
         assert run.plan.ending is Ending.COMPLETED
         assert run.bench.gateway.state is LifeCycleState.ARMED
 
-    def test_it_arms_when_ready_and_starts_when_armed(self) -> None:
-        plan, gateway = RunPlan(1.0, PERIOD_S), hand()
+    def test_it_arms_in_ready_and_starts_in_armed(self) -> None:
+        plan, gateway = RunPlan(1.0, PERIOD_S), make_stepped()
         assert stepped(plan, gateway) is None
         gateway.lose_sample()
-        gateway.to(LifeCycleState.READY)
+        gateway.bring_to(LifeCycleState.READY)
         assert stepped(plan, gateway) is Trigger.ARM
-        assert stepped(plan, gateway) is Trigger.ARM  # as long as it is not
+        assert stepped(plan, gateway) is Trigger.ARM  # again, as long as the gateway is not armed
         gateway.operate(Trigger.ARM)
         assert stepped(plan, gateway) is Trigger.START
 
     @pytest.mark.parametrize(("duration_s", "samples"), [(0.0112, 2), (0.56, 51), (1.0, 90), (1e-6, 2)])
-    def test_it_controls_from_0_to_the_duration(self, duration_s: float, samples: int) -> None:
-        """Both ends count: setpoints at t = 0, 11.2 ms, ... up to the duration."""
+    def test_control_lasts_from_time_0_to_the_duration(self, duration_s: float, samples: int) -> None:
+        """Both ends are included: setpoints at t = 0, 11.2 ms, and so on up to the duration."""
         run = PlannedRun(duration_s)
         run.until()
-        assert sum(cycle.state == LifeCycleState.RUNNING for cycle in run.bench.told.cycles) == samples
+        assert sum(cycle.state == LifeCycleState.RUNNING for cycle in run.bench.transcript.cycles) == samples
 
-    def test_a_board_that_is_lost_before_the_start_is_waited_for(self) -> None:
-        plan, gateway = RunPlan(1.0, PERIOD_S), hand(LifeCycleState.READY)
-        gateway.give(Frame(codec.HEARTBEAT_DAC, b"\x00"))
+    def test_it_waits_for_a_board_that_is_lost_before_the_start(self) -> None:
+        plan, gateway = RunPlan(1.0, PERIOD_S), make_stepped(LifeCycleState.READY)
+        gateway.receive(Frame(codec.HEARTBEAT_DAC, b"\x00"))
         assert stepped(plan, gateway) is None
         gateway.lose_sample()
-        gateway.to(LifeCycleState.READY)
+        gateway.bring_to(LifeCycleState.READY)
         assert stepped(plan, gateway) is Trigger.ARM
 
 
 class TestEnding:
-    def test_the_valves_are_centred_and_sent_so_before_it_is_over(self) -> None:
+    def test_centring_commands_are_sent_before_the_run_is_over(self) -> None:
         run = PlannedRun(duration_s=0.2)
         run.until(Ending.COMPLETED)
-        run.bench.told.frames.clear()
+        run.bench.transcript.frames.clear()
         run.until()
-        assert set(run.bench.told.commands()) == {CENTRED}
-        assert len(run.bench.told.commands()) == CENTRING_PERIODS
+        assert set(run.bench.transcript.commands()) == {CENTRED}
+        assert len(run.bench.transcript.commands()) == CENTRING_PERIODS
         assert run.bench.boards.dac.valve_v == CENTRED
 
     @pytest.mark.parametrize("apply", ["at sync", "at once"])
-    def test_the_board_has_applied_it_in_either_mode(self, apply: str) -> None:
+    def test_the_board_has_applied_the_centring_command_in_either_mode(self, apply: str) -> None:
         run = PlannedRun(duration_s=0.2)
-        run.bench = Bench(make_rig({"dac.apply": f'"{apply}"'}))
+        run.bench = RigBench(make_rig({"dac.apply": f'"{apply}"'}))
         run.periods(20)
         assert run.bench.boards.dac.valve_v != CENTRED
         run.until()
@@ -126,7 +124,7 @@ class TestEnding:
         assert run.triggers == []
         assert run.number == CENTRING_PERIODS
 
-    def test_a_fault_ends_it_without_a_trigger(self) -> None:
+    def test_a_fault_ends_the_run_without_a_trigger(self) -> None:
         run = PlannedRun(duration_s=10.0)
         run.periods(40)
         run.bench.boards.adc.faults = AdcFaults(hung=True)
@@ -135,7 +133,7 @@ class TestEnding:
         assert run.bench.gateway.state is LifeCycleState.FAULT
         assert [trigger for _, trigger in run.triggers] == [Trigger.ARM, Trigger.START]
 
-    def test_a_fault_while_ending_keeps_the_first_reason(self) -> None:
+    def test_a_fault_while_the_run_ends_does_not_replace_the_reason(self) -> None:
         run = PlannedRun(duration_s=0.2)
         run.until(Ending.COMPLETED)
         run.bench.gateway.link_failed("x")
@@ -143,8 +141,10 @@ class TestEnding:
         assert run.plan.ending is Ending.COMPLETED
 
     @pytest.mark.parametrize(("bring_up_s", "periods"), [(5.0, 446), (0.1, 9), (0.0, 1)])
-    def test_boards_that_do_not_come_up_end_it_in_time(self, bring_up_s: float, periods: int) -> None:
-        plan, gateway = RunPlan(10.0, PERIOD_S, bring_up_s), hand()
+    def test_boards_that_do_not_come_up_end_the_run_at_the_timeout(
+        self, bring_up_s: float, periods: int
+    ) -> None:
+        plan, gateway = RunPlan(10.0, PERIOD_S, bring_up_s), make_stepped()
         for _ in range(periods):
             assert stepped(plan, gateway) is None
             assert plan.ending is None
@@ -156,10 +156,10 @@ class TestEnding:
         assert plan.is_over
 
     def test_boards_that_come_up_in_the_last_period_are_used(self) -> None:
-        plan, gateway = RunPlan(10.0, PERIOD_S, 0.1), hand()
+        plan, gateway = RunPlan(10.0, PERIOD_S, 0.1), make_stepped()
         for _ in range(8):
             stepped(plan, gateway)
-        gateway.to(LifeCycleState.READY)
+        gateway.bring_to(LifeCycleState.READY)
         assert stepped(plan, gateway) is Trigger.ARM
 
     @pytest.mark.parametrize("second", list(Ending))
@@ -169,8 +169,8 @@ class TestEnding:
         plan.end(second)
         assert plan.ending is Ending.LINK
 
-    def test_a_second_reason_does_not_lengthen_it(self) -> None:
-        plan, gateway = RunPlan(1.0, PERIOD_S), hand()
+    def test_a_second_reason_does_not_delay_the_end(self) -> None:
+        plan, gateway = RunPlan(1.0, PERIOD_S), make_stepped()
         plan.end(Ending.INTERRUPTED)
         for _ in range(CENTRING_PERIODS):
             plan.end(Ending.LINK)
@@ -178,8 +178,8 @@ class TestEnding:
         assert plan.is_over
 
 
-def test_by_itself_it_waits_5_s_for_the_boards() -> None:
-    plan, gateway = RunPlan(10.0, PERIOD_S), hand()
+def test_the_default_timeout_of_the_boards_is_5_s() -> None:
+    plan, gateway = RunPlan(10.0, PERIOD_S), make_stepped()
     for _ in range(446):
         stepped(plan, gateway)
     assert plan.ending is None
@@ -201,8 +201,8 @@ def test_a_run_that_is_not_over_has_no_ending() -> None:
     assert not plan.is_over
 
 
-def test_stop_answers_with_the_centre() -> None:
-    output: Output = hand(LifeCycleState.RUNNING).operate(Trigger.STOP)
+def test_a_stop_centres_the_valves_at_once() -> None:
+    output: Output = make_stepped(LifeCycleState.RUNNING).operate(Trigger.STOP)
     assert commands(output) == [CENTRED]
 
 
@@ -217,5 +217,5 @@ def test_a_failure_ends_a_run_at_once_and_a_fault_before_it_stays_the_reason(bef
     plan.fail(Ending.LINK)
     assert plan.is_over
     assert plan.ending is (Ending.FAULT if before is Ending.FAULT else Ending.LINK)
-    plan.after_period(hand().core)
+    plan.after_period(make_stepped().core)
     assert plan.is_over

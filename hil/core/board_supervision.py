@@ -1,0 +1,111 @@
+"""Supervision of both boards: reactions to their heartbeats, restarts and emergency messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+from hil.core.board_watch import ADC_NODE, DAC_NODE, BoardWatch, describe_emergency
+from hil.core.frames import Frame
+from hil.core.life_cycle import LifeCycleState
+from hil.core.operating_state import OperatingState
+from hil.core.output import NOTHING, LogThrottle, Output, Severity, combine
+from hil.core.rejections import Rejections
+from hil.core.rig import Rig
+from hil.core.wire import codec
+
+Emergency: TypeAlias = codec.EmcyAdc | codec.EmcyDac
+
+
+class BoardSupervision:
+    """Both boards of a rig. Times are monotonic nanoseconds.
+
+    ``on_adc_restart`` is called when the ADC board is started, because its sample counter may begin anew.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        state: OperatingState,
+        throttle: LogThrottle,
+        rejections: Rejections,
+        on_adc_restart: Callable[[], None],
+    ) -> None:
+        period_ns = rig.loop.period_ns
+        self.adc = _watch("adc", ADC_NODE, rig.adc.heartbeat_timeout_periods * period_ns)
+        self.dac = _watch("dac", DAC_NODE, rig.dac.heartbeat_timeout_periods * period_ns)
+        self._both = (self.adc, self.dac)
+        self._state = state
+        self._throttle = throttle
+        self._rejections = rejections
+        self._on_adc_restart = on_adc_restart
+        self._started: set[str] = set()
+        """Names of the boards that were sent an NMT start in this period. One start per period is enough."""
+
+    @property
+    def are_fit(self) -> bool:
+        """Whether both boards are operational and without error."""
+        return self.adc.is_fit and self.dac.is_fit
+
+    def describe(self) -> str:
+        """Return the state of both boards in words."""
+        return "; ".join(f"{board.name} {board.describe()}" for board in self._both)
+
+    def begin_period(self, now_ns: int) -> Output:
+        """Begin a period: react to heartbeats that have timed out, and allow one NMT start to each board."""
+        self._started.clear()
+        lost = NOTHING
+        for board in self._both:
+            reason = board.check_timeout(now_ns)
+            if reason is not None:
+                lost = combine(lost, self._state.lose(board.name, reason))
+        return lost
+
+    def receive_heartbeat(self, board: BoardWatch, data: bytes, now_ns: int) -> Output:
+        """Take a heartbeat of ``board``, and start the board if it is not operational."""
+        if len(data) != 1:
+            return self._rejections.add(f"heartbeat of {board.name} has {len(data)} bytes, not 1")
+        was_up, state_before = board.is_up, board.nmt_state
+        start = board.heartbeat(data[0], now_ns)
+        changed = NOTHING
+        if board.nmt_state != state_before:
+            kind = f"{board.name} state"
+            changed = self._throttle.report(Severity.INFO, board.name, board.describe(), kind)
+        if start is None:
+            return changed
+        if board is self.adc:
+            self._on_adc_restart()
+        lost = self._state.lose(board.name, f"left operational: {board.describe()}") if was_up else NOTHING
+        return combine(changed, lost, self._start(board, start))
+
+    def receive_adc_emergency(self, data: bytes) -> Output:
+        """Take an emergency message of the ADC board."""
+        return self._receive_emergency(self.adc, data, codec.EMCY_ADC_LENGTH, codec.decode_emcy_adc)
+
+    def receive_dac_emergency(self, data: bytes) -> Output:
+        """Take an emergency message of the DAC board."""
+        return self._receive_emergency(self.dac, data, codec.EMCY_DAC_LENGTH, codec.decode_emcy_dac)
+
+    def _start(self, board: BoardWatch, command: Frame) -> Output:
+        if board.name in self._started:
+            return NOTHING
+        self._started.add(board.name)
+        return Output((command,))
+
+    def _receive_emergency(
+        self, board: BoardWatch, data: bytes, length: int, decode: Callable[[bytes], Emergency]
+    ) -> Output:
+        if len(data) != length:
+            return self._rejections.add(f"EMCY of {board.name} has {len(data)} bytes, not {length}")
+        emergency = decode(data)
+        if emergency.error_code == 0:
+            board.error = None
+            return self._throttle.report(Severity.INFO, board.name, "EMCY: no error")
+        board.error = describe_emergency(emergency.error_code, emergency.error_register, data[3:])
+        if self._state.current is LifeCycleState.FAULT:
+            return self._throttle.report(Severity.WARNING, board.name, board.error)
+        return self._state.lose(board.name, board.error)
+
+
+def _watch(name: str, node_id: int, timeout_ns: int) -> BoardWatch:
+    return BoardWatch(name, node_id, timeout_ns, f"{name}.heartbeat_timeout_periods")

@@ -1,0 +1,79 @@
+"""Control laws whose output is not a finite number."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from support.constants import CENTRED
+from support.gateway_bench import (
+    ADC_UP,
+    DAC_UP,
+    SteppedGateway,
+    commands,
+    faults,
+    make_gateway,
+    make_rig,
+    make_stepped,
+)
+
+from hil.core.controller_file import PidLaw, TransferFunctionLaw
+from hil.core.life_cycle import LifeCycleState
+
+
+class TestNotFinite:
+    GROWING = TransferFunctionLaw(num=[1.0], den=[1.0, -1e10])
+    """A control law whose output overflows within 40 samples."""
+
+    def test_an_output_that_is_not_finite_is_a_fault_and_sends_only_the_centre(self) -> None:
+        rig = make_rig()
+        laws = {
+            "vertical": PidLaw(kp=20.0, ki=0.0),
+            "horizontal": self.GROWING,
+            "rotation": PidLaw(kp=1.0, ki=0.0),
+        }
+        gateway = SteppedGateway(rig, make_gateway(rig, laws))
+        gateway.core._loops._axes[1].law._L = [0.0]  # without feedback of the limits, the output grows
+        gateway.bring_to(LifeCycleState.RUNNING)
+        for _ in range(60):
+            gateway.deadline()
+            gateway.receive(ADC_UP, DAC_UP)
+            output = gateway.sample()
+            if gateway.state is LifeCycleState.FAULT:
+                break
+        assert commands(output) == [CENTRED]
+        (text,) = faults(output)
+        assert text.startswith("horizontal: control law gave ")
+        assert text.endswith(" V at setpoint 0.05, position 0")
+        assert output.cycle is not None
+        assert output.cycle.state is LifeCycleState.FAULT
+        assert not math.isfinite(output.cycle.axes[1].output_v)
+        assert [axis.command_v for axis in output.cycle.axes] == list(CENTRED)
+
+    @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+    @pytest.mark.parametrize("axis", [0, 1, 2])
+    def test_a_setpoint_that_is_not_finite_is_a_fault_on_any_axis(self, value: float, axis: int) -> None:
+        gateway = make_stepped(LifeCycleState.RUNNING)
+        gateway.core._loops._axes[axis].setpoint = lambda t: value
+        gateway.deadline()
+        output = gateway.sample()
+        assert commands(output) == [CENTRED]
+        assert gateway.state is LifeCycleState.FAULT
+        assert faults(output)[0].startswith(f"{gateway.core._loops._axes[axis].name}: control law gave ")
+
+
+def test_no_number_that_is_not_finite_reaches_the_valve_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    gateway = make_stepped(LifeCycleState.RUNNING)
+    asked: list[float] = []
+    command = gateway.core._loops._valves.command
+
+    def spied(index: int, offset_v: float) -> float:
+        asked.append(offset_v)
+        return command(index, offset_v)
+
+    monkeypatch.setattr(gateway.core._loops._valves, "command", spied)
+    gateway.core._loops._axes[1].setpoint = lambda t: math.nan
+    gateway.deadline()
+    gateway.sample()
+    assert len(asked) == 1
+    assert math.isfinite(asked[0])

@@ -1,0 +1,68 @@
+"""Outputs that are joined, and log entries that are throttled."""
+
+from __future__ import annotations
+
+import math
+
+from hil.core.frames import Frame
+from hil.core.output import NOTHING, AxisSignals, Cycle, LogEntry, LogThrottle, Output, Severity, combine
+
+ONE, TWO = Frame(1), Frame(2)
+ENTRY, OTHER = LogEntry(Severity.INFO, "a", "x"), LogEntry(Severity.FATAL, "b", "y")
+SIGNALS = AxisSignals(0.0, 0.0, 0.0, 0.0, 5.0, math.nan)
+CYCLE, LATER = Cycle(1, 2, 3, 4, 0, True, (SIGNALS,)), Cycle(2, 3, 4, 5, 0, True, (SIGNALS,))
+
+
+class TestCombine:
+    def test_nothing_is_joined_to_nothing(self) -> None:
+        assert combine() is NOTHING
+        assert combine(NOTHING, NOTHING) is NOTHING
+        assert Output() == NOTHING
+
+    def test_a_single_output_is_returned_itself(self) -> None:
+        output = Output((ONE,), (ENTRY,), CYCLE)
+        assert combine(NOTHING, output, NOTHING) is output
+
+    def test_frames_and_log_entries_keep_their_order(self) -> None:
+        joined = combine(Output((ONE,), (ENTRY,)), NOTHING, Output((TWO, ONE), (OTHER,)), Output((TWO,)))
+        assert joined == Output((ONE, TWO, ONE, TWO), (ENTRY, OTHER))
+
+    def test_a_cycle_is_kept(self) -> None:
+        with_cycle = Output(cycle=CYCLE)
+        assert combine(with_cycle, Output((ONE,))) == Output((ONE,), (), CYCLE)
+        assert combine(Output((ONE,)), with_cycle) == Output((ONE,), (), CYCLE)
+
+    def test_of_two_cycles_the_later_is_kept(self) -> None:
+        assert combine(Output(cycle=CYCLE), Output(cycle=LATER)).cycle is LATER
+
+
+class TestLogThrottle:
+    def test_the_first_eight_and_then_powers_of_two_are_reported(self) -> None:
+        throttle = LogThrottle()
+        reported = [number for number in range(1, 101) if throttle.should_report("x")]
+        assert reported == [*range(1, 9), 16, 32, 64]
+
+    def test_kinds_are_counted_apart(self) -> None:
+        throttle = LogThrottle()
+        for _ in range(9):
+            throttle.should_report("x")
+        assert throttle.should_report("y")
+
+    def test_after_a_reset_entries_are_reported_again(self) -> None:
+        throttle = LogThrottle()
+        for _ in range(9):
+            throttle.should_report("x")
+        throttle.reset()
+        assert throttle.should_report("x")
+
+    def test_a_report_is_an_output_with_the_entry(self) -> None:
+        assert LogThrottle().report(Severity.INFO, "a", "x") == Output(log=(ENTRY,))
+
+    def test_by_default_entries_of_one_severity_and_source_are_one_kind(self) -> None:
+        throttle = LogThrottle()
+        for number in range(9):
+            output = throttle.report(Severity.INFO, "a", str(number))
+        assert output is NOTHING
+        assert throttle.report(Severity.WARNING, "a", "x") is not NOTHING
+        assert throttle.report(Severity.INFO, "b", "x") is not NOTHING
+        assert throttle.report(Severity.INFO, "a", "x", kind="other") is not NOTHING
