@@ -19,8 +19,8 @@ from design.cli import STRUCTURE_NAMES
 from design.models.plant import paper_plant
 from design.paper import claims as paper_claims
 from design.paper import reproduction as paper
-from design.synthesis.design_file import example_text
 from design.synthesis import procedure
+from design.synthesis.design_file import example_text
 from design.synthesis.structures import STRUCTURES
 from hil.cli import main
 from hil.core.controller_file import PidLaw, check_controller_fits, read_controller
@@ -277,8 +277,8 @@ def test_init_writes_the_example_once(here: Path, capsys: pytest.CaptureFixture[
     [
         ({"num": [0.0]}, "plant.json: num: the plant's gain is 0"),
         ({"num": [1.0, 2.0, 3.0], "den": [1.0, 1.0]}, "plant.json: num has degree 2, den 1: improper"),
-        ({"output_unit": "mm"}, "plant.json: output_unit: 'mm'"),
-        ({"nmu": [1.0]}, "plant.json: object contains unknown field `nmu`"),
+        ({"output_unit": "mm"}, "plant.json: output_unit is 'mm', but must be 'm' or 'rad'"),
+        ({"nmu": [1.0]}, "plant.json: unknown key nmu; did you mean num?"),
     ],
 )
 def test_plants_that_are_none(
