@@ -114,7 +114,7 @@ def _open(spec: str) -> tuple[Bus, str]:
 def _description(rig: Rig, plant_text: str, spec: str) -> str:
     return (
         f"boards 0x10 (ADC) and 0x20 (DAC), 12 bit; commands apply {rig.dac.apply}\n"
-        f"watchdog {rig.dac.watchdog_periods} periods of {rig.loop.period_s:g} s\n"
+        f"watchdog {rig.dac.watchdog_timeout_s:g} s\n"
         f"plant: {plant_text}\n"
         f"join with: hil run --bus {spec}"
     )

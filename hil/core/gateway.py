@@ -21,7 +21,7 @@ from hil.core.control_law import ControlLaw
 from hil.core.frames import Frame
 from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger, allowed_triggers, next_state
 from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
-from hil.core.rig import Rig
+from hil.core.rig import Rig, nanoseconds
 from hil.core.sample_guard import NOT_ALONE, SampleGuard, Unasked
 from hil.core.setpoints import Setpoint
 from hil.core.wire import codec
@@ -65,14 +65,14 @@ class Gateway:
         first_deadline_ns: int,
     ) -> None:
         self._rig = rig
-        self._period_ns = period_ns = rig.loop.period_ns
+        self._period_ns = rig.loop.period_ns
         self._loops = AxisLoops(rig, laws, setpoints)
         self._guard = SampleGuard(rig)
         self._adc = BoardWatch(
-            "adc", ADC_NODE, rig.adc.heartbeat_timeout_periods * period_ns, "adc.heartbeat_timeout_periods"
+            "adc", ADC_NODE, nanoseconds(rig.adc.heartbeat_timeout_s), "adc.heartbeat_timeout_s"
         )
         self._dac = BoardWatch(
-            "dac", DAC_NODE, rig.dac.heartbeat_timeout_periods * period_ns, "dac.heartbeat_timeout_periods"
+            "dac", DAC_NODE, nanoseconds(rig.dac.heartbeat_timeout_s), "dac.heartbeat_timeout_s"
         )
         self._boards = (self._adc, self._dac)
         self.state = LifeCycleState.OFFLINE
@@ -83,6 +83,7 @@ class Gateway:
         self.rejected_frames = 0
         self.error_frames = 0
         self._number = -1
+        self._heartbeat_periods = rig.heartbeat_periods
         self._heartbeat_number = 0
         self._deadline_ns = first_deadline_ns
         self._wake_ns = 0
@@ -148,7 +149,7 @@ class Gateway:
             text = "a period without SYNC, to tell late from lost"
             events.extend(self._tell(Severity.WARNING, "guard", text, kind="no SYNC").log)
         if self._number >= self._heartbeat_number:
-            self._heartbeat_number = self._number + self._rig.gateway.heartbeat_periods
+            self._heartbeat_number = self._number + self._heartbeat_periods
             frames.append(
                 Frame(codec.HEARTBEAT_GATEWAY, codec.encode_heartbeat_gateway(NmtState.OPERATIONAL))
             )

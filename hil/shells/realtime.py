@@ -92,7 +92,7 @@ def _end(session: Session, link: Link, ending: Ending, reason: str) -> None:
         event = LogEntry(Severity.INFO, "link", f"the valves were centred: the command left {taken} times")
     else:
         text = f"the command that centres the valves left {taken} times, not {CENTRING_PERIODS}"
-        watchdog = "the DAC board's watchdog has to centre them (rig: dac.watchdog_periods)"
+        watchdog = "the DAC board's watchdog has to centre them (rig: dac.watchdog_timeout_s)"
         event = LogEntry(Severity.ERROR, "link", f"{text}: {watchdog}")
     session.note(event)
 

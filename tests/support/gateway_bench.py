@@ -30,11 +30,11 @@ EXAMPLE_RIG = (files("hil.shipped") / "rig.toml").read_text()
 
 FIXED = {
     "loop.period_s": "0.0112",
-    "gateway.heartbeat_periods": "9",
+    "gateway.heartbeat_interval_s": "0.1",
     "adc.stale_after_periods": "3",
-    "adc.heartbeat_timeout_periods": "27",
-    "dac.watchdog_periods": "5",
-    "dac.heartbeat_timeout_periods": "27",
+    "adc.heartbeat_timeout_s": "0.3024",
+    "dac.watchdog_timeout_s": "0.056",
+    "dac.heartbeat_timeout_s": "0.3024",
     "dac.apply": '"at sync"',
     "axes.vertical.valve.max_rate_v_s": "400.0",
     "axes.horizontal.valve.max_rate_v_s": "400.0",
@@ -55,7 +55,11 @@ def rig_text(changes: Mapping[str, str] | None = None, axes: Sequence[str] = AXE
     """The shipped rig file with ``FIXED`` and ``changes`` (dotted key to TOML literal), of ``axes`` alone."""
     lines = EXAMPLE_RIG.splitlines()
     stale = (changes or {}).get("adc.stale_after_periods", "0")
-    patience = {"dac.watchdog_periods": str(int(stale) + 2)} if stale.isdecimal() and int(stale) > 3 else {}
+    patience = (
+        {"dac.watchdog_timeout_s": str((int(stale) + 2) * 0.0112)}
+        if stale.isdecimal() and int(stale) > 3
+        else {}
+    )
     for dotted, literal in (FIXED | patience | dict(changes or {})).items():
         table, _, key = dotted.rpartition(".")
         number = line_of(lines, table, key)

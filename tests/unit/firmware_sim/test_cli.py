@@ -214,7 +214,9 @@ def test_the_boards_use_the_rig_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, restored_process: None, encoding: str
 ) -> None:
     path = tmp_path / "rig.toml"
-    path.write_text(RIG_TEXT.replace("watchdog_periods = 8", "watchdog_periods = 7"), encoding=encoding)
+    path.write_text(
+        RIG_TEXT.replace("watchdog_timeout_s = 0.0896", "watchdog_timeout_s = 0.0784"), encoding=encoding
+    )
     seen = []
     monkeypatch.setattr(cli, "simulate", lambda rig, *_: seen.append(rig))
     assert cli.main(["--bus", "inproc:set up", "--rig", str(path)]) == 0

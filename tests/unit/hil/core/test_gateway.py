@@ -415,7 +415,7 @@ class TestOtherRigs:
 
     def test_another_period(self) -> None:
         bench = Bench(
-            make_rig({"loop.period_s": "0.02", "gateway.heartbeat_periods": "5"}), PidLaw(kp=5.0, ki=1.0)
+            make_rig({"loop.period_s": "0.02", "dac.watchdog_timeout_s": "0.1"}), PidLaw(kp=5.0, ki=1.0)
         ).run()
         bench.periods(100)
         assert bench.gateway.state is LifeCycleState.RUNNING
