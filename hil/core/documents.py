@@ -12,7 +12,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Iterator
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 
@@ -27,7 +27,7 @@ T = TypeVar("T")
 MAX_NESTING = 32
 """Tables and lists inside one another."""
 MAX_ENTRIES = 10_000
-"""Entries of one list, or keys of one table."""
+"""Entries of one list or keys of one table, unless the type of the document allows more."""
 MAX_INTEGER = 2**63 - 1
 """Largest magnitude of an integer."""
 _LONG_DOTTED_KEY = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){{{MAX_NESTING + 1}}}")
@@ -36,6 +36,9 @@ _LONG_DOTTED_KEY = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){{{M
 
 class Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Base of every typed document and of the tables inside it."""
+
+    max_entries: ClassVar[int] = MAX_ENTRIES
+    """Largest number of entries of any list or table in a document of this type."""
 
 
 def from_toml(text: str, kind: type[T], source: str) -> T:
@@ -63,7 +66,7 @@ def from_plain(plain: Any, kind: type[T], source: str) -> T:
     Raises DocumentError. Its text has one line for each unknown key and for each table with missing keys, or
     else names the first value that is not allowed.
     """
-    _check_limits(plain, source)
+    _check_limits(plain, source, getattr(kind, "max_entries", MAX_ENTRIES))
     try:
         return msgspec.convert(plain, kind)
     except msgspec.ValidationError as error:
@@ -155,23 +158,23 @@ def _with_line(message: str, text: str) -> str:
     return f"{message}: {line[:80]}"
 
 
-def _check_limits(plain: Any, source: str) -> None:
+def _check_limits(plain: Any, source: str, max_entries: int) -> None:
     """Refuse repeated keys, numbers that are not finite, long lists and deep nesting."""
     for steps, value in _values(plain):
-        problem = _limit_problem(value, len(steps))
+        problem = _limit_problem(value, len(steps), max_entries)
         if problem:
             place = f"{dotted(steps[:3])}…" if len(steps) > MAX_NESTING else dotted(steps)
             raise DocumentError(f"{source}: {place}{': ' if place else ''}{problem}")
 
 
-def _limit_problem(value: Any, depth: int) -> str | None:
+def _limit_problem(value: Any, depth: int, max_entries: int) -> str | None:
     match value:
         case _ if depth > MAX_NESTING:
             return f"nested deeper than {MAX_NESTING}"
         case _RepeatedKeyTable(repeated=(key, first, second)):
             return f"key {key} is given twice, as {_short(first)} and as {_short(second)}; remove one"
-        case dict() | list() if len(value) > MAX_ENTRIES:
-            return f"{len(value)} entries, more than {MAX_ENTRIES}"
+        case dict() | list() if len(value) > max_entries:
+            return f"{len(value)} entries, more than {max_entries}"
         case float() if not math.isfinite(value):
             return f"{value} is not a finite number"
         case int() if abs(value) > MAX_INTEGER:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import pytest
@@ -107,6 +107,17 @@ TREE_KEYS = "Valid keys: leaves, rows, shape, version"
 )
 def test_refusals_name_source_path_value_and_limit(plain: object, text: str) -> None:
     assert refusal(plain) == f"tree.toml: {text}"
+
+
+class Table(Document, frozen=True):
+    max_entries: ClassVar[int] = 20_000
+    rows: list[float]
+
+
+def test_a_type_may_allow_longer_lists() -> None:
+    assert len(from_plain({"rows": [0.0] * 20_000}, Table, "t").rows) == 20_000
+    with pytest.raises(DocumentError, match=r"^t: rows: 20001 entries, more than 20000$"):
+        from_plain({"rows": [0.0] * 20_001}, Table, "t")
 
 
 def test_all_unknown_and_missing_keys_are_reported_at_once() -> None:
