@@ -90,7 +90,7 @@ def test_signals_end_the_run_with_centred_valves(tmp_path: Path, number: signal.
         (["--bus", "carrier pigeon"], ["carrier pigeon", "slcan:"]),
     ],
 )
-def test_mistakes_are_explained(
+def test_wrong_arguments_are_explained(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -124,7 +124,7 @@ def test_silent_bus_is_explained(tmp_path: Path) -> None:
     assert "boards did not come up" in done.stdout.lower().replace("\n", " ")
 
 
-def test_a_name_that_another_run_took_meanwhile_is_left_to_it(
+def test_a_file_that_another_run_has_just_created_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two runs without a given name may begin within one second."""
@@ -154,7 +154,7 @@ def test_planned_events_are_recorded_and_one_after_the_end_is_a_warning(tmp_path
     assert verify(recording).complete
 
 
-def test_each_axis_of_the_shipped_rig_answers_its_own_step(tmp_path: Path) -> None:
+def test_each_axis_of_the_shipped_rig_follows_its_step(tmp_path: Path) -> None:
     """The rotation moves the horizontal axis too. Their steps are apart, so that the readings do not mix."""
     path = tmp_path / "run.mcap"
     assert main(["run", "--lockstep", "--record", str(path)]) == 0
@@ -167,9 +167,7 @@ def test_each_axis_of_the_shipped_rig_answers_its_own_step(tmp_path: Path) -> No
         assert axis.settling_s < 1.6
 
 
-def test_boards_whose_samples_are_refused_are_explained(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rejected_samples_are_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.mcap"
     assert main(["run", "--lockstep", "--event", "broken-wire:vertical@0", "--record", str(path)]) == 1
     output = capsys.readouterr().out
@@ -201,7 +199,7 @@ def test_an_internal_error_ends_the_run_and_is_reported_without_a_traceback(
     assert verify(recording).complete
 
 
-def test_signals_are_a_request_until_the_recording_is_closed() -> None:
+def test_signals_end_the_program_only_after_the_recording_is_closed() -> None:
     """A second Ctrl-C ends summary and plots, which may take long."""
     before = signal.getsignal(signal.SIGINT)
     with launch._stop_on_signals() as stop:
@@ -213,8 +211,8 @@ def test_signals_are_a_request_until_the_recording_is_closed() -> None:
         signal.raise_signal(signal.SIGINT)
 
 
-def test_a_reader_that_goes_away_costs_no_plot(tmp_path: Path) -> None:
-    """``hil run | head -1``."""
+def test_the_plot_is_drawn_even_if_nobody_reads_the_output(tmp_path: Path) -> None:
+    """For example ``hil run | head -1``."""
     path = tmp_path / "run.mcap"
     command = [*HIL, "run", "--lockstep", "--duration", "1", "--record", str(path)]
     reader, writer = os.pipe()
@@ -256,7 +254,7 @@ def test_a_terminal_without_unicode_gets_what_it_can_show(tmp_path: Path) -> Non
     assert b"0?0.1 m" in done.stdout
 
 
-def test_a_plot_in_the_recordings_place_is_refused_before_the_run(
+def test_a_recording_with_the_name_of_a_picture_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -388,7 +386,7 @@ def test_a_recording_is_verified_without_an_option(
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "1e300", "ten", "86400000.1"])
-def test_a_duration_that_cannot_be(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_impossible_duration_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["run", "--duration", text])
     assert caught.value.code == 2

@@ -48,11 +48,11 @@ def refusal(plain: dict[str, Any]) -> str:
 
 
 class TestShipped:
-    def test_the_papers_four_are_among_them(self) -> None:
+    def test_the_four_controllers_of_the_paper_are_shipped(self) -> None:
         assert {"hls", "ppid", "tlc", "zn"} <= set(shipped_controllers())
 
     @pytest.mark.parametrize("name", shipped_controllers())
-    def test_they_load_and_fit_the_papers_loop(self, name: str) -> None:
+    def test_shipped_controllers_fit_the_loop_of_the_paper(self, name: str) -> None:
         controller = read_controller((SHIPPED_CONTROLLERS / f"{name}.json").read_text(), name)
         assert controller.name == name
         check_controller_fits(controller, name, 0.0112, controller.input_unit)
@@ -130,12 +130,12 @@ def test_a_pid_is_read_with_its_defaults() -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_refused_by_file_and_key(changes: dict[str, Any], text: str) -> None:
+def test_an_error_names_file_and_key(changes: dict[str, Any], text: str) -> None:
     assert refusal(PID | changes) == f"mine.json: {text}"
 
 
 @pytest.mark.parametrize("key", sorted(set(PID) - {"law"}))
-def test_every_key_is_needed(key: str) -> None:
+def test_every_key_is_required(key: str) -> None:
     plain = {k: v for k, v in PID.items() if k != key}
     assert refusal(plain) == f"mine.json: missing key {key}"
 
@@ -163,7 +163,7 @@ SOUND: dict[str, Any] = {
 
 
 class TestShapes:
-    def test_matching_ones_are_read(self) -> None:
+    def test_matching_shapes_are_read(self) -> None:
         law = read_controller(json.dumps(with_law(kind="state_space", **SOUND)), "x").law
         assert law == StateSpaceLaw(**SOUND)
 
@@ -194,13 +194,13 @@ class TestShapes:
             ({"D": [[1.0, 2.0]]}, "D must have the shape (1, 1)"),
         ],
     )
-    def test_others_are_refused_by_matrix(self, changes: dict[str, Any], text: str) -> None:
+    def test_another_shape_is_refused_with_the_matrix(self, changes: dict[str, Any], text: str) -> None:
         law = copy.deepcopy(SOUND) | changes
         assert refusal(with_law(kind="state_space", **law)) == f"mine.json: law.{text}"
 
 
 class TestLimits:
-    """A law of any order and size would take the memory and the time of the machine."""
+    """Without limits, a law of high order would take hours, or all memory."""
 
     ORDER = MAX_STATES
 
@@ -255,7 +255,7 @@ def test_a_gain_that_is_given_twice_is_refused() -> None:
 class TestFit:
     CONTROLLER = read_controller(json.dumps(PID), "mine.json")
 
-    def test_the_same_sample_time_and_unit_fit(self) -> None:
+    def test_a_controller_for_this_sample_time_and_unit_fits(self) -> None:
         check_controller_fits(self.CONTROLLER, "mine.json", 0.0112, "m")
         check_controller_fits(self.CONTROLLER, "mine.json", 0.0112 * (1 + 1e-10), "m")
 
@@ -288,7 +288,7 @@ pids = st.builds(
 
 
 @given(polynomials | pids, st.text(), st.floats(1e-6, 1e3))
-def test_what_design_writes_is_read_back_bit_for_bit(law: Any, name: str, sample_time_s: float) -> None:
+def test_a_written_controller_is_read_back_bit_for_bit(law: Any, name: str, sample_time_s: float) -> None:
     controller = ControllerFile(
         format="hil-controller",
         version=1,

@@ -23,7 +23,7 @@ def refusal(text: str) -> str:
 
 
 class TestTheExample:
-    def test_it_loads_with_the_papers_loop_and_three_axes(self) -> None:
+    def test_the_example_has_the_loop_of_the_paper_and_three_axes(self) -> None:
         rig = read_rig(EXAMPLE_RIG, "rig.toml")
         assert rig.loop.period_ns == 11_200_000
         assert [(name, axis.unit) for name, axis in rig.axes.items()] == [
@@ -34,12 +34,12 @@ class TestTheExample:
         assert rig.bus.channel == "sim"
         assert rig.dac.apply == "at sync"
 
-    def test_the_bus_may_be_left_out(self) -> None:
+    def test_the_table_bus_is_optional(self) -> None:
         text = re.sub(r"\[bus\]\n.*\n", "", EXAMPLE)
         assert "[bus]" not in text
         assert read_rig(text, "rig.toml").bus.channel == "sim"
 
-    def test_axes_keep_the_files_order(self) -> None:
+    def test_axes_keep_the_order_of_the_file(self) -> None:
         head, vertical, horizontal, rotation = re.split(r"(?m)^(?=\[axes\.\w+\]$)", EXAMPLE)
         rig = read_rig(head + rotation + vertical + horizontal, "rig.toml")
         assert list(rig.axes) == ["rotation", "vertical", "horizontal"]
@@ -260,7 +260,7 @@ POT, VALVE = "axes.vertical.potentiometer", "axes.vertical.valve"
         ),
     ],
 )
-def test_what_does_not_fit_is_refused_with_path_value_and_limit(key: str, literal: str, text: str) -> None:
+def test_an_error_names_path_value_and_limit(key: str, literal: str, text: str) -> None:
     assert refusal(rig_text({key: literal})) == f"my.toml: {text}"
 
 
@@ -344,12 +344,12 @@ def test_a_rig_is_frozen() -> None:
 
 
 @pytest.mark.parametrize("key", [f"{VALVE}.min_v", f"{VALVE}.max_v"])
-def test_the_centre_is_a_whole_count_from_either_limit(key: str) -> None:
+def test_the_centre_is_at_least_one_count_from_either_limit(key: str) -> None:
     almost = 5.0 - 0.999 * VOLTS_PER_COUNT if key.endswith("min_v") else 5.0 + 0.999 * VOLTS_PER_COUNT
     assert f"{VALVE}.centre_v" in refusal(rig_text({key: repr(almost)}))
 
 
-def test_one_to_three_axes() -> None:
+def test_a_rig_has_one_to_three_axes() -> None:
     head = EXAMPLE[: EXAMPLE.index("[axes.vertical]")]
     assert refusal(head) == "my.toml: missing key axes"
     assert refusal(head + "[axes]\n") == "my.toml: axes has 0 keys, but must have at least 1"
@@ -379,7 +379,7 @@ def test_an_axis_name_that_cannot_name_files_and_topics_is_refused(name: str) ->
 
 
 @pytest.mark.parametrize("name", ["z", "Axis_2"])
-def test_plain_axis_names_are_taken(name: str) -> None:
+def test_plain_axis_names_are_accepted(name: str) -> None:
     assert name in read_rig(EXAMPLE.replace("horizontal", name), "r").axes
 
 
@@ -393,7 +393,7 @@ class TestPotentiometer:
         assert self.FALLING.position(volts) == pytest.approx(-10 * position, abs=1e-14)
 
     @given(st.floats(0.0, 10.0))
-    def test_voltage_is_its_inverse(self, volts: float) -> None:
+    def test_volts_is_the_inverse_of_position(self, volts: float) -> None:
         for pot in (self.POT, self.FALLING):
             assert pot.volts(pot.position(volts)) == pytest.approx(volts, abs=1e-12)
 
@@ -416,8 +416,8 @@ other_values = st.tuples(st.sampled_from(KEYS), literals).map(
 other_lines = st.tuples(st.integers(0, len(LINES) - 1), st.sampled_from([*LINES, ""]) | st.text(max_size=20))
 
 
-def is_sound(rig: Rig) -> bool:
-    """What the core relies on."""
+def is_valid(rig: Rig) -> bool:
+    """Return True if the rig has the properties that the core relies on."""
     for axis in rig.axes.values():
         valve, pot = axis.valve, axis.potentiometer
         if not 0.0 <= valve.min_v < valve.centre_v < valve.max_v < 10.0:
@@ -434,7 +434,7 @@ def is_sound(rig: Rig) -> bool:
 @example([(KEYS[0], "period_s = " + "1" * 5000)])
 @example([(KEYS[0], "period_s = 0x" + "f" * 5000)])
 @example([(KEYS[0], "period_s" + ".a" * 300 + " = 1")])
-def test_a_changed_file_is_a_sound_rig_or_refused(changes: list[tuple[int, str]]) -> None:
+def test_a_changed_file_is_a_valid_rig_or_refused(changes: list[tuple[int, str]]) -> None:
     lines = list(LINES)
     for number, line in changes:
         lines[number] = line
@@ -443,4 +443,4 @@ def test_a_changed_file_is_a_sound_rig_or_refused(changes: list[tuple[int, str]]
     except DocumentError as error:
         assert str(error).startswith("rig.toml: ")
     else:
-        assert is_sound(rig)
+        assert is_valid(rig)

@@ -23,7 +23,7 @@ def below(t: float) -> float:
 
 
 def core_instants(periods: int, period_ns: int = PERIOD_NS) -> list[float]:
-    """t as the core computes it: whole nanoseconds over a billion."""
+    """Return t of successive periods as the core computes it, from whole nanoseconds."""
     return [k * period_ns / 1e9 for k in range(periods)]
 
 
@@ -61,7 +61,7 @@ class TestForms:
             ("sine:-0.1@1/4", 2.0, -0.1),
         ],
     )
-    def test_values(self, text: str, t: float, r: float) -> None:
+    def test_values_of_each_form(self, text: str, t: float, r: float) -> None:
         assert at(text, t) == pytest.approx(r, abs=1e-15)
 
     def test_minimum_jerk_starts_and_ends_at_rest(self) -> None:
@@ -200,7 +200,7 @@ class TestRange:
         ("sine:0.1@1/0.00099", "/0.00099 s must be 0.001 s or more"),
     ],
 )
-def test_what_cannot_be_read_is_refused(text: str, said: str) -> None:
+def test_an_unreadable_setpoint_is_refused(text: str, said: str) -> None:
     with pytest.raises(SetpointError) as caught:
         parse_setpoint(text)
     assert said in str(caught.value)
@@ -262,7 +262,7 @@ class TestCsv:
             ' 1 , 0.1 \n2,"0.2"\n2,-1e-1\n4,.3\n',
         ],
     )
-    def test_other_ways_to_write_the_same(self, table: str) -> None:
+    def test_other_ways_to_write_the_same_table(self, table: str) -> None:
         setpoint, expected = parse_setpoint("csv:r.csv", table), parse_setpoint("csv:r.csv", self.TABLE)
         for t in core_instants(500):
             assert setpoint.at(t) == expected.at(t)
@@ -283,7 +283,7 @@ class TestCsv:
             ('0,"' + "1" * 200_000, "r.csv: not a CSV file: field larger than"),
         ],
     )
-    def test_what_cannot_be_read_is_refused_by_row(self, table: str, said: str) -> None:
+    def test_an_unreadable_row_is_refused_with_its_number(self, table: str, said: str) -> None:
         with pytest.raises(SetpointError) as caught:
             parse_setpoint("csv:r.csv", table)
         assert str(caught.value).startswith(said)
