@@ -151,7 +151,7 @@ def _read(options: argparse.Namespace) -> _Inputs:
     if record:
         from design.models.measured_record import compare
 
-        measured = compare(plant, _text(record), str(options.measured or f"the shipped {record.name}"))
+        measured = compare(plant, _table(record), str(options.measured or f"the shipped {record.name}"))
     return _Inputs(design_file, plant, further, measured)
 
 
@@ -264,6 +264,12 @@ def _text(path: Path) -> str:
     from hil.host.text_file import read_text
 
     return read_text(path)
+
+
+def _table(path: Path) -> str:
+    from hil.host.text_file import MAX_TABLE_BYTES, read_text
+
+    return read_text(path, MAX_TABLE_BYTES)
 
 
 def _seed(text: str) -> int:
