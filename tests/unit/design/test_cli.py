@@ -402,7 +402,6 @@ def test_nothing_slow_is_imported(here: Path) -> None:
 
 def test_help_needs_no_numpy(here: Path) -> None:
     program = (
-        "import sys; from design.cli import parser; parser().format_help(); "
-        "sys.exit('numpy' in sys.modules)"
+        "import sys; from design.cli import parser; parser().format_help(); sys.exit('numpy' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)

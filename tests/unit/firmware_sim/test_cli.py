@@ -130,7 +130,7 @@ def test_a_process_that_is_not_the_parent_is_rejected(
         (["--bus", "pty", "--rig", "absent.toml"], "absent.toml: cannot be read: No such file"),
         (
             ["--bus", "pty", "--rig", "broken.toml"],
-            "broken.toml: loop.period_s: 7.0: expected `float` <= 1.0",
+            "broken.toml: loop.period_s is 7.0, but must be at most 1.0",
         ),
         (["--bus", "pty", "--rig", "binary.toml"], "binary.toml: is not text"),
         (["--bus", "pty", "--watch", "--linear"], "--watch shows the pneumatic arm and no linear model"),

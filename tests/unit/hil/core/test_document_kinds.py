@@ -10,7 +10,7 @@ import pytest
 
 from design.models.plant import Plant, read_plant
 from design.synthesis.design_file import DesignFile, example_text, read_design
-from firmware_sim.arm.parameters import ArmParameters, read_arm, shipped_arm_text
+from firmware_sim.arm.arm_file import ArmParameters, read_arm, shipped_arm_text
 from firmware_sim.scenario import SHIPPED as SCENARIOS
 from firmware_sim.scenario import Scenario, read_scenario
 from hil.core.controller_file import ControllerFile, read_controller
