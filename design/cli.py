@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from hil.core.errors import DocumentError, HilError
+from hil.host.command_parser import CommandParser
 
 if TYPE_CHECKING:
     from design.models.measured_record import ModelFit
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from design.synthesis.design_file import DesignFile
     from design.synthesis.procedure import Design, OnProgress
 
+SUMMARY = "design a controller for an identified plant"
 DESIGN_NAME = "design.toml"
 STRUCTURE_NAMES = "p, pi, pd, pid, pid-2dof, lead-lag, pi-lead"
 """Of ``structures.STRUCTURES``, which is not imported for a help text."""
@@ -48,7 +50,7 @@ def main(argv: list[str]) -> int:
     """Run ``hil design``; returns the exit status. Raises HilError for what the user can put right."""
     # Before numpy is loaded: on thousands of small matrices, threads cost more than they give.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    options = _parser().parse_args(argv)
+    options = parser().parse_args(argv)
     if options.init:
         return _write_example()
     if options.paper:
@@ -73,8 +75,9 @@ def main(argv: list[str]) -> int:
     return tell(console, design, inputs.measured, directory)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> CommandParser:
+    """Return the parser of the arguments of ``hil design``."""
+    parser = CommandParser(
         prog="hil design",
         description="Design a controller for an identified plant: H-infinity loop shaping, fixed structure.",
         epilog="Without PLANT: the paper's, eq. (15). The design file has everything else that can be "
@@ -148,7 +151,7 @@ def _read(options: argparse.Namespace) -> _Inputs:
     if record:
         from design.models.measured_record import compare
 
-        measured = compare(plant, _text(record), str(options.measured or f"the shipped {record.name}"))
+        measured = compare(plant, _table(record), str(options.measured or f"the shipped {record.name}"))
     return _Inputs(design_file, plant, further, measured)
 
 
@@ -261,6 +264,12 @@ def _text(path: Path) -> str:
     from hil.host.text_file import read_text
 
     return read_text(path)
+
+
+def _table(path: Path) -> str:
+    from hil.host.text_file import MAX_TABLE_BYTES, read_text
+
+    return read_text(path, MAX_TABLE_BYTES)
 
 
 def _seed(text: str) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
 import os
@@ -19,6 +18,7 @@ from firmware_sim.simulated_rig import SimulatedRig
 from hil import __version__
 from hil.core.errors import DocumentError, EnvironmentLackError, HilError
 from hil.core.rig import Rig, read_rig
+from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
 
 PTY = "pty"
@@ -28,7 +28,7 @@ BOARDS_PRIORITY = 20
 
 def main(argv: list[str] | None = None) -> int:
     """Run ``firmware-sim``. Returns the exit status: 2 for wrong input, 1 for a failure while running."""
-    options = _parser().parse_args(argv)
+    options = parser().parse_args(argv)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _exit)
     try:
@@ -69,8 +69,9 @@ def _take_priority() -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, parameter)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> CommandParser:
+    """Return the parser of the arguments of ``firmware-sim``."""
+    parser = CommandParser(
         prog="firmware-sim",
         description="Simulate the valve and potentiometer boards, and the arm behind them, on a bus.",
     )
@@ -114,7 +115,7 @@ def _open(spec: str) -> tuple[Bus, str]:
 def _description(rig: Rig, plant_text: str, spec: str) -> str:
     return (
         f"boards 0x10 (ADC) and 0x20 (DAC), 12 bit; commands apply {rig.dac.apply}\n"
-        f"watchdog {rig.dac.watchdog_periods} periods of {rig.loop.period_s:g} s\n"
+        f"watchdog {rig.dac.watchdog_timeout_s:g} s\n"
         f"plant: {plant_text}\n"
         f"join with: hil run --bus {spec}"
     )

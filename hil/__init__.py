@@ -5,4 +5,4 @@ Floors, imports go down only: 0 ``frames``, ``errors``, ``events``; 1 ``wire``, 
 ``shells``; 4 ``cli``. Floors 0 to 2 do no I/O and read no clock.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -28,7 +28,7 @@ from firmware_sim.boards.codec import (
 )
 from firmware_sim.boards.faults import DacFaults
 from hil.core.frames import Frame
-from hil.core.rig import Rig
+from hil.core.rig import Rig, nanoseconds
 
 Volts: TypeAlias = tuple[float, float, float]
 """Voltages of the board's three channels."""
@@ -89,11 +89,10 @@ class DacBoard(CanopenSlave[DacFaults]):
         self, rig: Rig, drive: Callable[[Volts, int], None], *, resolution_bits: int, heartbeat_ns: int
     ) -> None:
         super().__init__(DAC_NODE, heartbeat_ns)
-        period_ns = rig.loop.period_ns
         self._protected = rig.dac.protected
         self._applies_at_once = rig.dac.apply == "at once"
-        self._watchdog_ns = rig.dac.watchdog_periods * period_ns
-        self._gateway_timeout_ns = rig.dac.heartbeat_timeout_periods * period_ns
+        self._watchdog_ns = nanoseconds(rig.dac.watchdog_timeout_s)
+        self._gateway_timeout_ns = nanoseconds(rig.dac.heartbeat_timeout_s)
         self._drive = drive
         self._converter = Converter(resolution_bits)
         centre_v = [5.0, 5.0, 5.0]

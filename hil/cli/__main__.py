@@ -1,4 +1,4 @@
-"""``python -m hil.cli``."""
+"""Run the command line as ``python -m hil.cli``."""
 
 import sys
 

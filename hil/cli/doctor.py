@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 
+from hil.host.command_parser import CommandParser
 from hil.host.doctor import Check, CheckVerdict, doctor
 
 _STYLES = {
@@ -17,16 +17,21 @@ _STYLES = {
 }
 
 
-def main(argv: list[str]) -> int:
-    """Print the findings. Returns 1 if something is missing that the simulated rig needs, else 0."""
-    parser = argparse.ArgumentParser(
+def parser() -> CommandParser:
+    """Return the parser of the arguments of ``hil doctor``."""
+    command = CommandParser(
         prog="hil doctor",
         description="Check what this machine offers a control loop, and say what to do about the rest. If "
         "`hil vcan` needs user-mode Linux here, it is started once, which takes about 3 s. The exit status "
         "is 1 if something is missing without which the simulated rig cannot run.",
     )
-    parser.add_argument("--json", action="store_true", help="print a list of objects, for programs")
-    options = parser.parse_args(argv)
+    command.add_argument("--json", action="store_true", help="print a list of objects, for programs")
+    return command
+
+
+def main(argv: list[str]) -> int:
+    """Print the findings. Returns 1 if something is missing that the simulated rig needs, else 0."""
+    options = parser().parse_args(argv)
     checks = doctor(_show)
     if options.json:
         sys.stdout.write(json.dumps([check._asdict() for check in checks], indent=2) + "\n")

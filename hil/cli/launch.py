@@ -1,4 +1,4 @@
-"""Puts a run together: boards, link, recorder, audience and core, in real time or in lockstep."""
+"""Put a run together from boards, link, recorder, display and core, in real time or in lockstep."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 from firmware_sim.plant_options import plant_arguments
 from firmware_sim.simulated_plant import build_plant, planned_events
 from hil import __version__
+from hil.cli.quantities import duration_text
 from hil.core.errors import LinkError
 from hil.core.gateway import Gateway
 from hil.core.output import LogEntry, Severity
@@ -34,17 +35,22 @@ if TYPE_CHECKING:
     from hil.links import Link
 
 LOCKSTEP_EPOCH_NS = 1_000_000_000_000_000_000
-"""Simulated time begins here (2001-09-09), so that lockstep files depend on nothing but the setup."""
+"""Start of simulated time, 2001-09-09. It is fixed, so that a recording depends on the setup alone."""
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SIMULATED = "sim"
-BOARDS_PATIENCE_S = 2.0
+"""Name of the bus to simulated boards that are started with the run."""
+BOARDS_END_TIMEOUT_S = 2.0
+"""Time in which the process of the simulated boards must end."""
 MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".csv": "text/csv"}
 
 
 def run_realtime(
     setup: RunSetup, plan: RunPlan, path: Path, bus: str, options: argparse.Namespace
 ) -> RecorderReport:
-    """Run on ``bus``; ``sim`` starts the boards in a process of their own on a bus of their own."""
+    """Run on ``bus``. With ``sim``, the boards are started in a process of their own, on a bus of their own.
+
+    Raises LinkError or RecordingError if the run cannot begin.
+    """
     from hil.host.realtime_rights import real_time_rights
     from hil.links import open_link
     from hil.shells.realtime import run
@@ -67,7 +73,7 @@ def run_realtime(
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display, most_refused)
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
-            _announce(session, plan.duration_s, planned)
+            _announce(session, setup, plan.duration_s, planned)
             error = run(session, link, stop_request)
         ending = _ending(plan, gateway) | {
             "frames dropped by the kernel": _dropped(link),
@@ -83,7 +89,7 @@ def run_realtime(
 def run_lockstep(
     setup: RunSetup, plan: RunPlan, path: Path, duration_s: float, options: argparse.Namespace
 ) -> RecorderReport:
-    """Run against simulated boards in this process, in simulated time: the same bytes on every run."""
+    """Run against simulated boards in this process and in simulated time. Every run gives the same bytes."""
     from firmware_sim.simulated_rig import SimulatedRig
     from hil.cli.progress import LockstepProgress
     from hil.shells.lockstep import Lockstep
@@ -97,21 +103,35 @@ def run_lockstep(
         recorder = Recorder(path, header, lossless=True)
         with LockstepProgress(duration_s) as progress:
             session = Session(gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress)
-            _announce(session, duration_s, planned)
+            _announce(session, setup, duration_s, planned)
             lockstep.run(session, stop_request)
         return recorder.close({"ending": _ending(plan, gateway)})
 
 
-def _announce(session: Session, duration_s: float, planned: dict[str, float]) -> None:
-    """Note what will happen to the simulated arm, and warn of what the run does not live to see."""
+def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dict[str, float]) -> None:
+    """Log what will happen to the simulated arm. Warn of events that do not happen and of early setpoints."""
     for text, at_s in planned.items():
         if at_s < duration_s:
-            event = LogEntry(Severity.INFO, "arm", f"planned: {text} (s from the first sample on)")
+            entry = LogEntry(Severity.INFO, "arm", f"planned: {text} (seconds from the first sample on)")
         else:
-            event = LogEntry(
-                Severity.WARNING, "arm", f"{text} lies after the end of the run, {duration_s:g} s"
+            entry = LogEntry(
+                Severity.WARNING,
+                "arm",
+                f"{text} does not happen: it is after the end of the run, {duration_text(duration_s)}",
             )
-        session.note(event)
+        session.note(entry)
+    for name, setpoint in setup.setpoints.items():
+        first = setpoint.at(0.0)
+        if first != 0.0:
+            session.note(LogEntry(Severity.WARNING, name, _early_setpoint(first, setup.rig.axes[name].unit)))
+
+
+def _early_setpoint(first: float, unit: str) -> str:
+    """Return the warning for a setpoint that is not 0 when control begins."""
+    return (
+        f"the setpoint begins at {first:g} {unit}: control begins without a jump of the valve, so that an "
+        "axis that is elsewhere approaches this value slowly; for a step, begin at 0 and change later"
+    )
 
 
 def _header(
@@ -165,26 +185,27 @@ def _ending(plan: RunPlan, gateway: Gateway) -> dict[str, str]:
 
 @contextlib.contextmanager
 def _boards_process(spec: str, options: argparse.Namespace) -> Iterator[None]:
-    """The boards in a process and session of their own, which a kill of this one ends too."""
-    command = [sys.executable, "-m", "firmware_sim", "--bus", spec, "--parent-pid", str(os.getpid())]
+    """Run the simulated boards in another process, which the kernel kills if this one is killed."""
+    # -P: modules in the working directory are not imported.
+    command = [sys.executable, "-P", "-m", "firmware_sim", "--bus", spec, "--parent-pid", str(os.getpid())]
     if options.rig is not None:
         command += ["--rig", str(options.rig)]
     process = subprocess.Popen(
         [*command, *plant_arguments(options)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C is for the gateway, which centres the valves while the boards listen
+        start_new_session=True,  # Ctrl-C must not end the boards before the gateway has centred the valves
     )
     try:
         yield
     finally:
         process.terminate()
-        await_end(process, BOARDS_PATIENCE_S)
+        await_end(process, BOARDS_END_TIMEOUT_S)
 
 
 @contextlib.contextmanager
 def _stop_on_signals() -> Iterator[StopRequest]:
-    """Signals ask the run to end, until its recording is closed; then they end the program again."""
+    """Let signals end the run in good order until the recording is closed; then they end the program."""
     stop = StopRequest()
     before = {number: signal.signal(number, stop.set) for number in STOP_SIGNALS}
     try:
@@ -196,7 +217,7 @@ def _stop_on_signals() -> Iterator[StopRequest]:
 
 def _free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))  # on every address, so that no other rig has it
+        probe.bind(("", 0))  # on all addresses, so that no other rig uses the port
         return int(probe.getsockname()[1])
 
 

@@ -1,4 +1,4 @@
-"""The audience of a lockstep run: warnings, and a bar where the run is long enough to want one."""
+"""What a run in lockstep shows: warnings, and a progress bar if the run is long."""
 
 from __future__ import annotations
 
@@ -8,16 +8,22 @@ from rich.progress import Progress
 from hil.core.gateway import Gateway
 from hil.core.output import Cycle, LogEntry, Severity
 
-SHORT_RUN_S = 120.0
+MIN_DURATION_S = 120.0
+"""Shortest run, in simulated seconds, that gets a progress bar."""
 UPDATE_PERIODS = 2000
+"""Number of periods from one update of the bar to the next."""
 
 
 class LockstepProgress:
-    """Prints to stderr, from the run's own thread: simulated time waits for it."""
+    """Observer of a run in lockstep. It prints to stderr while the simulated time waits."""
 
     def __init__(self, duration_s: float) -> None:
-        self._progress = Progress(console=Console(stderr=True), disable=duration_s < SHORT_RUN_S)
+        self._progress = Progress(
+            console=Console(stderr=True, markup=False, highlight=False), disable=duration_s < MIN_DURATION_S
+        )
         self._task = self._progress.add_task("lockstep", total=duration_s)
+        self._time_s = 0.0
+        """Simulated time of the last period, from the start of the run."""
 
     def __enter__(self) -> LockstepProgress:
         self._progress.start()
@@ -26,12 +32,14 @@ class LockstepProgress:
     def __exit__(self, *_error: object) -> None:
         self._progress.stop()
 
-    def log(self, event: LogEntry) -> None:
-        """Print what is worse than news."""
-        if event.severity > Severity.INFO:
-            self._progress.console.print(f"{event.source}: {event.text}", highlight=False, soft_wrap=True)
+    def log(self, entry: LogEntry) -> None:
+        """Print a warning or an error with the simulated time; other entries are only recorded."""
+        if entry.severity > Severity.INFO:
+            line = f"{self._time_s:9.2f} s  {entry.source}: {entry.text}"
+            self._progress.console.print(line, soft_wrap=True)
 
     def cycle(self, cycle: Cycle, _gateway: Gateway) -> None:
-        """Move the bar now and then."""
+        """Note the time, and move the bar every ``UPDATE_PERIODS`` periods."""
+        self._time_s = cycle.deadline_ns / 1e9
         if cycle.number % UPDATE_PERIODS == 0:
-            self._progress.update(self._task, completed=cycle.deadline_ns / 1e9)
+            self._progress.update(self._task, completed=self._time_s)

@@ -1,43 +1,58 @@
-"""``hil rig``: the example rig file."""
+"""``hil rig``: print, copy or check a rig file."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
 from hil.core.errors import DocumentError
+from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
 from hil.shells.run_setup import RIG_NAME, SHIPPED, load_setup
 
 
-def main(argv: list[str]) -> int:
-    """Show, copy or check a rig file."""
-    parser = argparse.ArgumentParser(prog="hil rig", description="Show, copy or check a rig file.")
-    action = parser.add_mutually_exclusive_group()
+def parser() -> CommandParser:
+    """Return the parser of the arguments of ``hil rig``."""
+    command = CommandParser(
+        prog="hil rig",
+        description="Print the commented rig file that is shipped. It has every setting of loop, boards and "
+        "axes, and every limit.",
+    )
+    action = command.add_mutually_exclusive_group()
     action.add_argument(
         "--init",
         metavar="FILE",
         nargs="?",
         const=RIG_NAME,
-        help="write the commented example to FILE (rig.toml)",
+        help=f"write it to FILE instead (default {RIG_NAME}); an existing file is kept",
     )
-    action.add_argument("--check", metavar="FILE", type=Path, help="read FILE and all that it names")
-    options = parser.parse_args(argv)
+    action.add_argument(
+        "--check", metavar="FILE", type=Path, help="read FILE and all files that it names, and report errors"
+    )
+    return command
+
+
+def main(argv: list[str]) -> int:
+    """Run ``hil rig`` with ``argv``; return its exit status. Raises DocumentError."""
+    options = parser().parse_args(argv)
     if options.check:
         setup = load_setup(options.check, {}, {})
-        sys.stdout.write(f"{options.check}: good; axes {', '.join(setup.rig.axes)}\n")
+        sys.stdout.write(f"{options.check}: valid; axes {', '.join(setup.rig.axes)}\n")
         return 0
     text = read_text(SHIPPED / RIG_NAME)
-    if not options.init:
+    if options.init:
+        _write_new(Path(options.init), text)
+        sys.stdout.write(f"{options.init} written; use it with: hil run --rig {options.init}\n")
+    else:
         sys.stdout.write(text)
-        return 0
+    return 0
+
+
+def _write_new(path: Path, text: str) -> None:
     try:
-        with Path(options.init).open("x", encoding="utf-8") as file:
+        with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise DocumentError(f"{options.init}: exists already; move it away first") from None
+        raise DocumentError(f"{path}: exists already and is kept; name another file") from None
     except OSError as error:
-        raise DocumentError(f"{options.init}: cannot be written: {error.strerror}") from None
-    sys.stdout.write(f"{options.init} written; try: hil run --rig {options.init}\n")
-    return 0
+        raise DocumentError(f"{path}: cannot be written: {error.strerror}") from None

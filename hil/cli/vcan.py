@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 
+from hil.host.command_parser import CommandParser
 from hil.host.vcan import run_with_vcan
 
 
-def main(argv: list[str]) -> int:
-    """Run the command that follows ``--`` and return its exit status. Raises EnvironmentLackError."""
-    parser = argparse.ArgumentParser(
+def parser() -> CommandParser:
+    """Return the parser of the arguments of ``hil vcan``."""
+    parser = CommandParser(
         prog="hil vcan",
         usage="hil vcan -- COMMAND [ARGUMENT…]",
         description="Run a command where the CAN interface vcan0 exists, and return its exit status. If this "
@@ -18,9 +19,14 @@ def main(argv: list[str]) -> int:
         "in user-mode Linux, the loopback interface is the only other network.",
     )
     parser.add_argument("command", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
-    command = parser.parse_args(argv).command
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Run the command that follows ``--`` and return its exit status. Raises EnvironmentLackError."""
+    command = parser().parse_args(argv).command
     if command[:1] == ["--"]:
         del command[0]
     if not command:
-        parser.error("no command is given; for example: hil vcan -- candump vcan0")
+        parser().error("no command is given; for example: hil vcan -- candump vcan0")
     return run_with_vcan(command)

@@ -11,7 +11,7 @@ from hil.core.life_cycle import LifeCycleState
 from hil.core.operating_state import OperatingState
 from hil.core.output import NOTHING, LogThrottle, Output, Severity, combine
 from hil.core.rejections import Rejections
-from hil.core.rig import Rig
+from hil.core.rig import Rig, nanoseconds
 from hil.core.wire import codec
 
 Emergency: TypeAlias = codec.EmcyAdc | codec.EmcyDac
@@ -31,9 +31,8 @@ class BoardSupervision:
         rejections: Rejections,
         on_adc_restart: Callable[[], None],
     ) -> None:
-        period_ns = rig.loop.period_ns
-        self.adc = _watch("adc", ADC_NODE, rig.adc.heartbeat_timeout_periods * period_ns)
-        self.dac = _watch("dac", DAC_NODE, rig.dac.heartbeat_timeout_periods * period_ns)
+        self.adc = _watch("adc", ADC_NODE, nanoseconds(rig.adc.heartbeat_timeout_s))
+        self.dac = _watch("dac", DAC_NODE, nanoseconds(rig.dac.heartbeat_timeout_s))
         self._both = (self.adc, self.dac)
         self._state = state
         self._throttle = throttle
@@ -108,4 +107,4 @@ class BoardSupervision:
 
 
 def _watch(name: str, node_id: int, timeout_ns: int) -> BoardWatch:
-    return BoardWatch(name, node_id, timeout_ns, f"{name}.heartbeat_timeout_periods")
+    return BoardWatch(name, node_id, timeout_ns, f"{name}.heartbeat_timeout_s")

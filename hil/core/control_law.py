@@ -1,13 +1,15 @@
-"""Run-time control laws: every controller file becomes one sampled state space with anti-windup.
+"""Control laws at run time: every controller file becomes one sampled state space with anti-windup.
 
 x[k+1] = A x[k] + B [r, y] + L (u_applied - u),  u = C x + D [r, y].
 
-The observer gain L is the stationary Kalman predictor of the law seen as x+ = A x + b v, u = C x + d v. For a
-law with stable zeros and d != 0 it is Hanus' conditioning, L = b/d (Hanus, Kinnaert, Henrotte, Automatica
-1987); where a zero is unstable or on the circle it is the stable gain next to it. So a saturated law forgets
-at the pace of its own zeros, and L never acts while the limits do not.
+u_applied is the output after the limits of the valve. L acts only while a limit is active.
 
-Numbers are plain floats at run time: numpy costs more than it saves at these sizes. No clock, no I/O.
+The gain L is that of the stationary Kalman predictor of the law seen as x+ = A x + b v, u = C x + d v.
+If the law has stable zeros and d != 0, L = b/d: the conditioning technique (Hanus, Kinnaert, Henrotte,
+Automatica 1987). If a zero is unstable or on the unit circle, the predictor gives a stable gain near it.
+While a limit is active, the state of the law decays at the rate of its own zeros.
+
+At run time all numbers are plain floats, because numpy is slower for systems of this size.
 """
 
 from __future__ import annotations
@@ -18,17 +20,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.core.controller_file import Law, PidLaw, StateSpaceLaw, TransferFunctionLaw
+from hil.core.controller_file import MAX_COEFFICIENT, Law, PidLaw, StateSpaceLaw, TransferFunctionLaw
 from hil.core.errors import DocumentError
-
-LARGEST_COEFFICIENT = 1e12
-"""In a realisation; beyond it nothing can be computed in double precision."""
 
 Matrix = NDArray[np.float64]
 
 
 class Realisation(NamedTuple):
-    """A sampled law: A (n, n), B (n, 2), C (1, n), D (1, 2), inputs [r, y], output u in volts."""
+    """A sampled state space: A (n, n), B (n, 2), C (1, n), D (1, 2); inputs [r, y], output u in volts."""
 
     A: Matrix
     B: Matrix
@@ -37,7 +36,7 @@ class Realisation(NamedTuple):
 
 
 def realise(law: Law, sample_time_s: float) -> Realisation:
-    """State space of a controller file's law at ``sample_time_s``; exactly what the daemon runs."""
+    """Return the state space of a law at ``sample_time_s``, exactly as the gateway runs it."""
     match law:
         case PidLaw():
             return _realise_pid(law, sample_time_s)
@@ -52,18 +51,21 @@ def realise(law: Law, sample_time_s: float) -> Realisation:
                 np.array(law.C).reshape(1, n),
                 np.array(law.D).reshape(1, m),
             )
-            return Realisation(A, _of_error(B), C, _of_error(D)) if m == 1 else Realisation(A, B, C, D)
+            return Realisation(A, _from_error(B), C, _from_error(D)) if m == 1 else Realisation(A, B, C, D)
 
 
 def check_law_runs(law: Law, sample_time_s: float, source: str) -> None:
-    """Refuse a law that overflows, or whose anti-windup cannot be stable. Raises DocumentError."""
+    """Refuse a law with coefficients that are too large, or without a stable anti-windup gain.
+
+    ``source`` names the law in errors. Raises DocumentError.
+    """
     with np.errstate(all="ignore"):
         A, B, C, D = realise(law, sample_time_s)
     largest = float(np.max(np.abs(np.concatenate([part.ravel() for part in (A, B, C, D)]))))
-    if not largest <= LARGEST_COEFFICIENT:
+    if not largest <= MAX_COEFFICIENT:
         raise DocumentError(
             f"{source}: law: its state space at {sample_time_s} s has a coefficient of {largest:.3g}, over "
-            f"{LARGEST_COEFFICIENT:g}; scale it"
+            f"the limit {MAX_COEFFICIENT:g}; scale the law"
         )
     try:
         conditioned = A - anti_windup_gain(A, B, C, D) @ C
@@ -71,13 +73,16 @@ def check_law_runs(law: Law, sample_time_s: float, source: str) -> None:
         conditioned = np.full_like(A, np.inf)
     if not np.all(np.isfinite(conditioned)) or np.any(np.abs(np.linalg.eigvals(conditioned)) > 1.0 - 1e-10):
         raise DocumentError(
-            f"{source}: law: a mode that does not decay is not seen in its output or not moved by its input; "
-            "nothing would stop it while the valve is limited: give a minimal realisation"
+            f"{source}: law: a mode that does not decay is not seen in the output or not moved by the "
+            "input, so that nothing bounds it while the valve is limited; give a minimal realisation"
         )
 
 
 class ControlLaw:
-    """One axis' controller at run time. Call ``output``, limit it, then ``advance`` with what left."""
+    """Controller of one axis at run time.
+
+    In each period call ``output``, limit what it returns, then call ``advance`` with the limited value.
+    """
 
     def __init__(self, law: Law, sample_time_s: float) -> None:
         A, B, C, D = realise(law, sample_time_s)
@@ -89,7 +94,7 @@ class ControlLaw:
         self._C: list[float] = C[0].tolist()
         self._Dr, self._Dy = float(D[0, 0]), float(D[0, 1])
         self._L: list[float] = L[:, 0].tolist()
-        # Where every mode but the slowest settles while r and y stand still.
+        # State in which all modes except the slowest are at rest, for constant r and y.
         self._slowest = _slowest_mode(A, C)
         deflated = np.eye(n) - A + self._slowest @ C
         self._settled = np.linalg.lstsq(deflated, B - self._slowest @ D, rcond=None)[0]
@@ -97,10 +102,11 @@ class ControlLaw:
         self._r = self._y = self._u = 0.0
 
     def initialise(self, r: float, y: float, u: float) -> None:
-        """Bumpless hand-over: the next ``output(r, y)`` is ``u``, as if r and y had long stood still.
+        """Take over without a jump: set the state so that the next ``output(r, y)`` is ``u``.
 
-        The law's slowest mode, its integrator where it has one, makes up for u: so nothing else moves when
-        r and y stay. A law without dynamics has nothing to initialise.
+        The state is the one after r and y have been constant for a long time, except for the slowest mode,
+        which is the integrator where the law has one. This mode is set so that the output is ``u``. A law
+        without dynamics has no state; its output is then not ``u``.
         """
         x = self._settled @ np.array([[r], [y]])
         self._x = x[:, 0].tolist()
@@ -108,13 +114,13 @@ class ControlLaw:
         self._x = x[:, 0].tolist()
 
     def output(self, r: float, y: float) -> float:
-        """Output u in volts from setpoint r and process variable y, in the axis' unit. Changes no state."""
+        """Return u in volts for setpoint r and position y in the axis' unit. The state does not change."""
         u = sum(map(mul, self._C, self._x), self._Dr * r + self._Dy * y)
         self._r, self._y, self._u = r, y, u
         return u
 
     def advance(self, u_applied: float) -> None:
-        """Step to the next sample; ``u_applied`` is what the limits let through, in volts."""
+        """Step to the next sample. ``u_applied`` is the output after the limits, in volts."""
         x, r, y = self._x, self._r, self._y
         excess = u_applied - self._u
         self._x = [
@@ -124,12 +130,12 @@ class ControlLaw:
 
 
 def anti_windup_gain(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
-    """Gain L (n, 1) such that A - L C is stable: Kalman predictor of x+ = A x + B v, u = C x + D v + noise.
+    """Return the gain L (n, 1) of the Kalman predictor of x+ = A x + B v, u = C x + D v + noise.
 
-    B (n, m), D (1, m): v is white in every input of the law. The Riccati equation is solved by
-    structure-preserving doubling (Chu, Fan, Lin, Wang 2004) after the cross term has been removed. A little
-    measurement noise keeps zeros on the unit circle (Tustin puts one at -1 in a strictly proper law) from
-    ringing.
+    A - L C is stable. Shapes: A (n, n), B (n, m), C (1, n), D (1, m); v is white noise in every input of the
+    law. The Riccati equation is solved by structure-preserving doubling (Chu, Fan, Lin, Wang 2004) after the
+    cross term has been removed. Without the small measurement noise, zeros on the unit circle would ring;
+    Tustin's rule puts one at -1 in a strictly proper law.
     """
     n, m = B.shape
     if n == 0:
@@ -139,7 +145,7 @@ def anti_windup_gain(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
     R = D @ D.T / m + (0.1 * scale) ** 2
     S = B @ D.T / m
     gain_direct = S / R
-    # Dual DARE: P = F P F' - F P C' (R + C P C')^-1 C P F' + Q
+    # Dual discrete-time algebraic Riccati equation: P = F P F' - F P C' (R + C P C')^-1 C P F' + Q
     F = A - gain_direct @ C
     Q = B @ B.T / m - gain_direct @ S.T
     E, G, H = F.T.copy(), C.T @ C / R, Q
@@ -156,7 +162,10 @@ def anti_windup_gain(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
 
 
 def _slowest_mode(A: Matrix, C: Matrix) -> Matrix:
-    """The mode (n, 1) nearest to an integrator that the output sees, scaled to C x = 1; 0 if it sees none."""
+    """Return the mode (n, 1) that is seen in the output and is nearest to an integrator, scaled to C x = 1.
+
+    If no mode is seen in the output, the result is 0.
+    """
     eigenvalues, modes = np.linalg.eig(A)
     seen = (C @ modes)[0]
     if not np.any(seen):
@@ -166,7 +175,7 @@ def _slowest_mode(A: Matrix, C: Matrix) -> Matrix:
 
 
 def _realise_pid(pid: PidLaw, ts: float) -> Realisation:
-    """Eq. (19) by Tustin: 1/s is Ts/2 (z+1)/(z-1), the filtered derivative g (z-1)/(z-beta)."""
+    """Sample eq. (19) by Tustin's rule: 1/s is Ts/2 (z+1)/(z-1), the derivative is g (z-1)/(z-beta)."""
     beta = (2.0 * pid.tau_d - ts) / (2.0 * pid.tau_d + ts)
     g = 2.0 * pid.kd / (2.0 * pid.tau_d + ts)
     half = 0.5 * pid.ki * ts
@@ -179,16 +188,16 @@ def _realise_pid(pid: PidLaw, ts: float) -> Realisation:
 
 
 def _realise_transfer_function(num: Matrix, den: Matrix) -> Realisation:
-    """Observer companion form of num(z)/den(z)."""
+    """Return the observer companion form of num(z)/den(z)."""
     n = len(den) - 1
     a = den[1:] / den[0]
     b = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0]
     A = np.hstack([-a.reshape(n, 1), np.eye(n, max(n - 1, 0))]) if n else np.zeros((0, 0))
     B = (b[1:] - a * b[0]).reshape(n, 1)
     C = np.eye(1, n) if n else np.zeros((1, 0))
-    return Realisation(A, _of_error(B), C, _of_error(b[:1].reshape(1, 1)))
+    return Realisation(A, _from_error(B), C, _from_error(b[:1].reshape(1, 1)))
 
 
-def _of_error(columns: Matrix) -> Matrix:
-    """Columns for [r, y] from a column for e = r - y."""
+def _from_error(columns: Matrix) -> Matrix:
+    """Return the columns for [r, y] that belong to a column for e = r - y."""
     return np.hstack([columns, -columns])

@@ -1,25 +1,26 @@
-"""Every error a user can meet, in one tree. The command line prints them without a traceback.
+"""All errors that a user can correct, in one tree. The command line prints them without a traceback.
 
-A message names the signal, the value, the limit, its unit and where the limit comes from.
+A message has three parts: what is wrong (name, value, unit, limit), where it comes from (file, key or
+option), and what to do.
 """
 
 from __future__ import annotations
 
 
 class HilError(Exception):
-    """Something the user can put right; its text says what was wrong, where, and what to do."""
+    """Base of all errors that a user can correct."""
 
 
 class DocumentError(HilError):
-    """A TOML or JSON document (rig, controller, design, arm, scenario) is not what it should be."""
+    """A file or an option cannot be read, or has a value that is not allowed."""
 
 
 class SetpointError(HilError):
-    """A setpoint text such as ``step:0.1@1`` cannot be read, or leaves the axis' range."""
+    """A setpoint such as ``step:0.1@1`` cannot be read, or leaves the range of the axis."""
 
 
 class LinkError(HilError):
-    """A bus or serial line cannot be opened, or failed in use."""
+    """A bus or a serial line cannot be opened, or failed while it was used."""
 
 
 class RecordingError(HilError):
@@ -27,16 +28,16 @@ class RecordingError(HilError):
 
 
 class RecordingExistsError(RecordingError):
-    """A recording would overwrite a file."""
+    """A recording would overwrite an existing file."""
 
 
 class ReplayMismatchError(HilError):
-    """A replayed core did not send the bytes that were recorded."""
+    """A replay gave another answer than the recorded one."""
 
 
 class EnvironmentLackError(HilError):
-    """The machine lacks something that a command needs (a kernel module, a right, a program)."""
+    """The machine lacks a kernel module, a right or a program that a command needs."""
 
 
 class SimulationError(HilError):
-    """A simulated plant has left what its model can stand for."""
+    """The state of a simulated plant has left the range in which its model is valid."""

@@ -24,13 +24,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import msgspec
 
 from hil.core.control_law import ControlLaw
 from hil.core.documents import Document
-from hil.core.excitation import Signal
+from hil.core.excitation import MAX_SAMPLES, Signal
 
 Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=600.0)]
 
@@ -50,6 +50,7 @@ class Phase(IntEnum):
 class Experiment(Document, frozen=True):
     """One identification experiment, as it stands in the recording (``experiment.json``)."""
 
+    max_entries: ClassVar[int] = MAX_SAMPLES  # of an excitation from a table
     format: Literal["hil-experiment"]
     version: Literal[1]
     axis: str

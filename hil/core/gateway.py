@@ -56,7 +56,7 @@ class Gateway:
         first_deadline_ns: int,
     ) -> None:
         self._stale_limit = rig.adc.stale_after_periods
-        self._heartbeat_periods = rig.gateway.heartbeat_periods
+        self._heartbeat_periods = rig.heartbeat_periods
         self._clock = PeriodClock(rig.loop.period_ns, first_deadline_ns)
         self._loops = AxisLoops(rig, laws, setpoints)
         self._guard = SampleGuard(rig)

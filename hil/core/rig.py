@@ -1,34 +1,36 @@
-"""The rig file: one TOML, read once, into one frozen :class:`Rig`.
+"""The rig file: one TOML document, read once into one frozen :class:`Rig`.
 
-Lives here: what the loop, the boards and the axes are, and the cross-checks between them. Does not live
-here: reading the disk (the shells and commands do). The commented example is ``hil/rig.toml``.
+This module has the settings of loop, boards and axes, and the checks between them. Shells and commands read
+the disk. The commented example is ``hil/shipped/rig.toml``.
 """
 
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
-from hil.core.documents import Document, from_toml
+from hil.core.documents import Document, from_plain, parse_toml
 from hil.core.errors import DocumentError
 
 VOLTS_PER_COUNT = 10.0 / 32768
-"""Resolution of an analogue channel of the DBC, CiA 401's left-adjusted INTEGER16."""
-HIGHEST_WIRE_V = 32767 * VOLTS_PER_COUNT
-"""The most that an analogue channel of the DBC can carry."""
+"""Resolution of an analogue channel of the DBC: CiA 401, left-adjusted INTEGER16."""
+MAX_WIRE_V = 32767 * VOLTS_PER_COUNT
+"""Largest voltage that an analogue channel of the DBC can carry."""
 
-LONGEST_HOLD_S = 2.0
-"""Valves do not hold for longer on their last command, whoever ends it: an arm goes far in that time."""
-LONGEST_SILENCE_S = 10.0
-"""Nor is a board without a heartbeat trusted for longer."""
+MAX_HOLD_S = 2.0
+"""Longest time for which the valves may hold their last command without a new one."""
+MAX_HEARTBEAT_TIMEOUT_S = 10.0
+"""Longest time for which a board without a heartbeat may count as present."""
 CHANNELS = 3
-"""Of either board."""
+"""Analogue channels of each board."""
 
 Periods = Annotated[int, msgspec.Meta(ge=1, le=1000)]
+Timeout = Annotated[float, msgspec.Meta(ge=0.001, le=MAX_HEARTBEAT_TIMEOUT_S)]
 Channel = Annotated[int, msgspec.Meta(ge=1, le=CHANNELS)]
 Volts = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
+Position = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 
 
 class LoopSettings(Document, frozen=True):
@@ -38,94 +40,96 @@ class LoopSettings(Document, frozen=True):
 
     @property
     def period_ns(self) -> int:
-        """The period as an integer of nanoseconds: 0.0112 s is 11_200_000 ns."""
-        return round(self.period_s * 1e9)
+        """Period in nanoseconds: 0.0112 s is 11_200_000 ns."""
+        return nanoseconds(self.period_s)
 
 
 class Bus(Document, frozen=True):
-    """Where the boards are: ``sim`` starts the simulated boards in a process of their own."""
+    """The bus of the boards. ``sim`` starts simulated boards in a process of their own."""
 
     channel: str = "sim"
 
 
 class GatewaySettings(Document, frozen=True):
-    """The gateway as a CANopen node."""
+    """The gateway as a CANopen node, 0x01."""
 
-    heartbeat_periods: Periods
-    """A heartbeat is sent every so many periods."""
+    heartbeat_interval_s: Annotated[float, msgspec.Meta(ge=0.001, le=1.0)]
+    """Time between two heartbeats of the gateway in seconds. It is rounded to whole periods."""
 
 
 class AdcSettings(Document, frozen=True):
     """The potentiometer board, node 0x10."""
 
     protected: bool
-    """TPDO1 carries counter and CRC (8 bytes); false for modules that have none (6 bytes)."""
+    """True if TPDO1 carries counter and CRC (8 bytes), false for modules that have none (6 bytes)."""
     stale_after_periods: Periods
-    """So many periods without an acceptable sample are a fault; until then the valves hold."""
-    heartbeat_timeout_periods: Periods
-    """So many periods without the board's heartbeat are a fault."""
+    """Number of consecutive periods without an accepted sample that is a fault; the valves hold before."""
+    heartbeat_timeout_s: Timeout
+    """Time in seconds without a heartbeat of the board after which it counts as lost."""
 
 
 class DacSettings(Document, frozen=True):
     """The valve board, node 0x20."""
 
     protected: bool
-    """RPDO1 carries counter and CRC (8 bytes); false for modules that have none (6 bytes)."""
+    """True if RPDO1 carries counter and CRC (8 bytes), false for modules that have none (6 bytes)."""
     apply: Literal["at sync", "at once"]
-    """When a command reaches the valve: at the next SYNC (one period of delay, no jitter) or at once."""
-    watchdog_periods: Periods
-    """So many periods without a good command and the board centres its valves."""
-    heartbeat_timeout_periods: Periods
-    """So many periods without the board's heartbeat are a fault; the board watches the gateway's likewise."""
+    """Instant at which a command reaches the valve: at the next SYNC (one period of delay), or at once."""
+    watchdog_timeout_s: Timeout
+    """Time in seconds without an accepted command after which the board centres its valves."""
+    heartbeat_timeout_s: Timeout
+    """Time in seconds without a heartbeat after which board and gateway count each other as lost."""
 
 
 class Potentiometer(Document, frozen=True):
-    """Position from voltage, linear: ``y_at_0v`` and ``y_at_10v`` in the axis' unit."""
+    """Linear map from voltage to position. ``y_at_0v`` and ``y_at_10v`` are in the axis' unit."""
 
     channel: Channel
-    y_at_0v: float
-    y_at_10v: float
+    y_at_0v: Position
+    y_at_10v: Position
     min_v: Volts
-    """A voltage under this is a broken wire or a short, never a position."""
+    """Smallest voltage of a position. A smaller one means a broken wire or a short circuit."""
     max_v: Volts
+    """Largest voltage of a position. A larger one means a broken wire or a short circuit."""
 
     def position(self, volts: float) -> float:
-        """Position in the axis' unit at ``volts``."""
+        """Return the position in the axis' unit at ``volts``."""
         return self.y_at_0v + (self.y_at_10v - self.y_at_0v) * (volts * 0.1)
 
     def volts(self, position: float) -> float:
-        """Voltage at a ``position`` in the axis' unit."""
+        """Return the voltage at a ``position`` in the axis' unit."""
         return 10.0 * (position - self.y_at_0v) / (self.y_at_10v - self.y_at_0v)
 
 
 class Valve(Document, frozen=True):
-    """A proportional valve. The manipulated variable u is the offset in volts from ``centre_v``."""
+    """A proportional valve. The manipulated variable u is the offset of its voltage from ``centre_v``."""
 
     channel: Channel
     centre_v: Volts
     min_v: Volts
     max_v: Volts
-    max_rate_v_s: Annotated[float, msgspec.Meta(gt=0.0)]
-    """Largest change of the command in volts a second."""
+    max_rate_v_s: Annotated[float, msgspec.Meta(gt=0.0, le=1e9)]
+    """Largest rate of change of the command in volts per second."""
 
 
 class AxisSettings(Document, frozen=True):
-    """One independent SISO loop."""
+    """One axis: an independent loop with one input and one output."""
 
     unit: Literal["m", "rad"]
     setpoint: str
-    """Default setpoint, as ``--setpoint`` takes it (without the axis' name)."""
+    """Default setpoint, written as for ``--setpoint``, without the axis' name."""
     controller: str
-    """A controller shipped with the package (``ppid``) or a file, relative to the rig file."""
-    min_y: float
-    """Setpoints under this are refused; in the axis' unit."""
-    max_y: float
+    """Name of a shipped controller (``ppid``), or a file relative to the rig file."""
+    min_y: Position
+    """Smallest setpoint that is accepted, in the axis' unit."""
+    max_y: Position
+    """Largest setpoint that is accepted, in the axis' unit."""
     potentiometer: Potentiometer
     valve: Valve
 
 
 class Rig(Document, frozen=True):
-    """The whole rig file. Axes keep the file's order."""
+    """The whole rig file. Axes keep the order of the file."""
 
     loop: LoopSettings
     gateway: GatewaySettings
@@ -134,14 +138,26 @@ class Rig(Document, frozen=True):
     axes: Annotated[dict[str, AxisSettings], msgspec.Meta(min_length=1)]
     bus: Bus = Bus()
 
+    @property
+    def heartbeat_periods(self) -> int:
+        """Periods between two heartbeats of the gateway: the whole number nearest to its interval."""
+        return max(round(self.gateway.heartbeat_interval_s / self.loop.period_s), 1)
+
+
+def nanoseconds(seconds: float) -> int:
+    """Return a time of a rig file as an integer of nanoseconds."""
+    return round(seconds * 1e9)
+
 
 def read_rig(text: str, source: str) -> Rig:
-    """Read and cross-check the text of a rig file; ``source`` is its name for errors.
+    """Read and check the text of a rig file. ``source`` is its name for errors.
 
     Raises DocumentError naming file, key, value and limit.
     """
-    rig = from_toml(text, Rig, source)
-    _check_periods(rig, source)
+    plain = parse_toml(text, source, Rig)
+    _refuse_replaced_keys(plain, source)
+    rig = from_plain(plain, Rig, source)
+    _check_times(rig, source)
     if len(rig.axes) > CHANNELS:
         raise DocumentError(
             f"{source}: axes: {', '.join(rig.axes)}: the boards have channels for {CHANNELS} axes, "
@@ -150,8 +166,8 @@ def read_rig(text: str, source: str) -> Rig:
     for name, axis in rig.axes.items():
         if re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is None:
             raise DocumentError(
-                f"{source}: axes: {name!r} is no name for an axis: a letter, then letters, digits or _ "
-                "(it names files and topics)"
+                f"{source}: axes: {name!r} cannot be the name of an axis, because it names files and topics; "
+                "use a letter, then letters, digits or _"
             )
         _check_axis(axis, f"{source}: axes.{name}")
     for part in ("potentiometer", "valve"):
@@ -159,38 +175,72 @@ def read_rig(text: str, source: str) -> Rig:
     return rig
 
 
-def _check_periods(rig: Rig, source: str) -> None:
-    if rig.dac.heartbeat_timeout_periods <= rig.gateway.heartbeat_periods:
+_REPLACED_KEYS = {
+    ("gateway", "heartbeat_periods"): "heartbeat_interval_s",
+    ("adc", "heartbeat_timeout_periods"): "heartbeat_timeout_s",
+    ("dac", "heartbeat_timeout_periods"): "heartbeat_timeout_s",
+    ("dac", "watchdog_periods"): "watchdog_timeout_s",
+}
+"""Keys of version 0.1, which counted periods, and the keys in seconds that replace them."""
+
+
+def _refuse_replaced_keys(plain: dict[str, Any], source: str) -> None:
+    """Refuse keys of version 0.1, and give the line to write instead of each. Raises DocumentError."""
+    loop = plain.get("loop")
+    period_s = loop.get("period_s") if isinstance(loop, dict) else None
+    problems = []
+    for (table, old), new in _REPLACED_KEYS.items():
+        settings = plain.get(table)
+        if not isinstance(settings, dict) or old not in settings:
+            continue
+        periods, example = settings[old], ""
+        if _is_number(periods) and _is_number(period_s) and 0 < periods < 1e6:
+            example = f" = {periods * period_s:.6g}, which is {periods} periods of {period_s} s"
+        problems.append(f"{source}: {table}.{old}: this time is now given in seconds; write {new}{example}")
+    if problems:
+        raise DocumentError("\n".join(problems))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _check_times(rig: Rig, source: str) -> None:
+    """Check that no time-out ends before what it waits for, or too late for an arm that nobody controls."""
+    period_s, adc, dac = rig.loop.period_s, rig.adc, rig.dac
+    heartbeat_s = rig.heartbeat_periods * period_s
+    if dac.heartbeat_timeout_s <= heartbeat_s:
         raise DocumentError(
-            f"{source}: dac.heartbeat_timeout_periods: {rig.dac.heartbeat_timeout_periods} does not exceed "
-            f"gateway.heartbeat_periods {rig.gateway.heartbeat_periods}: the board would miss every heartbeat"
+            f"{source}: dac.heartbeat_timeout_s: {dac.heartbeat_timeout_s:g} s does not exceed the "
+            f"{heartbeat_s:g} s between heartbeats of the gateway (gateway.heartbeat_interval_s in whole "
+            "periods): the board would count the gateway as lost"
         )
-    if rig.dac.watchdog_periods <= rig.adc.stale_after_periods:
+    hold_s = adc.stale_after_periods * period_s
+    if hold_s > MAX_HOLD_S:
         raise DocumentError(
-            f"{source}: dac.watchdog_periods: {rig.dac.watchdog_periods} does not exceed "
-            f"adc.stale_after_periods {rig.adc.stale_after_periods}: the board would centre its valves "
-            "behind the gateway's back"
+            f"{source}: adc.stale_after_periods: {adc.stale_after_periods} periods of {period_s:g} s are "
+            f"{hold_s:g} s, more than the limit {MAX_HOLD_S:g} s"
         )
-    for key, periods, longest_s in (
-        ("adc.stale_after_periods", rig.adc.stale_after_periods, LONGEST_HOLD_S),
-        ("dac.watchdog_periods", rig.dac.watchdog_periods, LONGEST_HOLD_S),
-        ("adc.heartbeat_timeout_periods", rig.adc.heartbeat_timeout_periods, LONGEST_SILENCE_S),
-        ("dac.heartbeat_timeout_periods", rig.dac.heartbeat_timeout_periods, LONGEST_SILENCE_S),
-    ):
-        if periods * rig.loop.period_s > longest_s:
-            raise DocumentError(
-                f"{source}: {key}: {periods} periods of {rig.loop.period_s:g} s are "
-                f"{periods * rig.loop.period_s:g} s, more than {longest_s:g} s"
-            )
+    if dac.watchdog_timeout_s > MAX_HOLD_S:
+        raise DocumentError(
+            f"{source}: dac.watchdog_timeout_s: {dac.watchdog_timeout_s:g} s is more than the limit "
+            f"{MAX_HOLD_S:g} s"
+        )
+    if nanoseconds(dac.watchdog_timeout_s) <= adc.stale_after_periods * rig.loop.period_ns:
+        raise DocumentError(
+            f"{source}: dac.watchdog_timeout_s: {dac.watchdog_timeout_s:g} s does not exceed the "
+            f"{hold_s:g} s of adc.stale_after_periods ({adc.stale_after_periods} periods of {period_s:g} s): "
+            "the board would centre its valves while the gateway takes them to hold"
+        )
 
 
 def _check_axis(axis: AxisSettings, where: str) -> None:
     valve, pot = axis.valve, axis.potentiometer
     for part, max_v in (("valve", valve.max_v), ("potentiometer", pot.max_v)):
-        if max_v > HIGHEST_WIRE_V:
+        if max_v > MAX_WIRE_V:
             raise DocumentError(
-                f"{where}.{part}.max_v: {max_v} V exceeds {HIGHEST_WIRE_V:.5f} V, the most that a frame "
-                "can carry (arm.dbc)"
+                f"{where}.{part}.max_v: {max_v} V exceeds {MAX_WIRE_V:.5f} V, the largest voltage that a "
+                "frame can carry (arm.dbc)"
             )
     if not valve.min_v + VOLTS_PER_COUNT <= valve.centre_v <= valve.max_v - VOLTS_PER_COUNT:
         raise DocumentError(

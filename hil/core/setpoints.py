@@ -1,15 +1,16 @@
-"""Setpoints r(t) of one axis, from texts such as ``step:0.1@1``. t is seconds since the run began.
+"""Setpoints r(t) of one axis, written as texts such as ``step:0.1@1``. t is seconds since control began.
 
-====================================  =====================================================================
-``step:SIZE@TIME``                    0, then SIZE from TIME on
-``ladder:LEVEL,LEVEL,...@TIME/HOLD``  0, then each level for HOLD seconds, the last one kept
-``ramp:SIZE@TIME/DURATION``           0, then straight to SIZE within DURATION
-``minimum-jerk:SIZE@TIME/DURATION``   likewise by 10 t^3 - 15 t^4 + 6 t^5 (Flash and Hogan 1985)
-``sine:AMPLITUDE@TIME/PERIOD``        0, then AMPLITUDE sin(2 pi (t - TIME)/PERIOD)
-``csv:FILE``                          columns time_s,setpoint; straight lines between rows, ends kept
-====================================  =====================================================================
+====================================  =================================================================
+``step:SIZE@TIME``                    0, and SIZE from TIME on
+``ladder:LEVEL,LEVEL,...@TIME/HOLD``  0, then each level for HOLD seconds; the last one stays
+``ramp:SIZE@TIME/DURATION``           0, then in a straight line to SIZE within DURATION
+``minimum-jerk:SIZE@TIME/DURATION``   as a ramp, along 10 t^3 - 15 t^4 + 6 t^5 (Flash and Hogan 1985)
+``sine:AMPLITUDE@TIME/PERIOD``        0, and AMPLITUDE sin(2 pi (t - TIME)/PERIOD) from TIME on
+``csv:FILE``                          columns time_s,setpoint; straight lines between the rows
+====================================  =================================================================
 
-Sizes are in the axis' unit. A step in a CSV is two rows at the same time.
+Sizes are in the axis' unit. Before the first row of a CSV file the first value holds, after the last row the
+last one. Two rows with the same time are a step.
 """
 
 from __future__ import annotations
@@ -18,17 +19,24 @@ import csv
 import math
 import re
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from hil.core.errors import SetpointError
+from hil.core.suggestions import did_you_mean
 
-FORMS = (
-    "step:SIZE@TIME, ladder:LEVEL,LEVEL,...@TIME/HOLD, ramp:SIZE@TIME/DURATION, "
-    "minimum-jerk:SIZE@TIME/DURATION, sine:AMPLITUDE@TIME/PERIOD, csv:FILE"
-)
-SHORTEST_SPAN_S = 0.001
-"""Of a hold, a ramp or a sine: the shortest period that a loop may have."""
+FORMS = {
+    "step": "step:SIZE@TIME",
+    "ladder": "ladder:LEVEL,LEVEL,...@TIME/HOLD",
+    "ramp": "ramp:SIZE@TIME/DURATION",
+    "minimum-jerk": "minimum-jerk:SIZE@TIME/DURATION",
+    "sine": "sine:AMPLITUDE@TIME/PERIOD",
+    "csv": "csv:FILE",
+}
+"""How each kind of setpoint is written."""
+EXAMPLE = "step:0.1@1"
+MIN_SPAN_S = 0.001
+"""Shortest hold, ramp or sine period in seconds: the shortest period of a loop."""
 _NUMBER = r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|inf)"
 _FORM = re.compile(
     rf"(?P<kind>step|ladder|ramp|minimum-jerk|sine):(?P<values>{_NUMBER}(?:,{_NUMBER})*)"
@@ -40,28 +48,34 @@ Function = Callable[[float], float]
 
 
 class Setpoint(NamedTuple):
-    """A setpoint and what it reaches, in the axis' unit."""
+    """A setpoint as a function of time, and its range."""
 
     text: str
+    """The text that it was read from."""
     at: Function
-    """r at t seconds."""
-    lowest: float
-    highest: float
+    """r in the axis' unit at t seconds."""
+    min_r: float
+    """Smallest value in the axis' unit."""
+    max_r: float
+    """Largest value in the axis' unit."""
 
 
 def csv_file(text: str) -> str | None:
-    """The file that a ``csv:FILE`` setpoint reads, else None."""
+    """Return the file that a ``csv:FILE`` setpoint names; None for every other setpoint."""
     return text.removeprefix("csv:") if text.startswith("csv:") else None
 
 
 def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
-    """Parse ``text``; ``csv_text`` is what the file that ``csv:FILE`` names holds. Raises SetpointError."""
+    """Read a setpoint. ``csv_text`` is the content of the file that ``csv:FILE`` names.
+
+    Raises SetpointError.
+    """
     file = csv_file(text)
     if file is not None:
         return _from_csv(text, csv_text, file)
     match = _FORM.fullmatch(text)
     if match is None:
-        raise SetpointError(f"setpoint {text!r} is none of: {FORMS}")
+        raise SetpointError(_unreadable(text))
     for number in re.findall(_NUMBER, text.partition(":")[2]):
         if not math.isfinite(float(number)):
             raise SetpointError(f"setpoint {text!r}: {number} is not finite")
@@ -69,34 +83,42 @@ def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
     values = [float(value) for value in match["values"].split(",")]
     start = float(match["start"])
     if start < 0:
-        raise SetpointError(f"setpoint {text!r}: TIME {start:g} s must be 0 or more, from the run's begin")
+        raise SetpointError(f"setpoint {text!r}: TIME is {start:g} s, but must be 0 s or more")
     if kind != "ladder" and len(values) != 1:
         raise SetpointError(f"setpoint {text!r}: {kind} takes one size, not {len(values)}")
     if (match["span"] is None) != (kind == "step"):
-        lack = "takes no /..." if kind == "step" else "lacks its /SECONDS"
-        raise SetpointError(f"setpoint {text!r}: {kind} {lack}; forms: {FORMS}")
+        problem = "takes no /SECONDS" if kind == "step" else "lacks its /SECONDS"
+        raise SetpointError(f"setpoint {text!r}: {kind} {problem}; write {FORMS[kind]}")
     span = float(match["span"] or 1.0)
-    if span < SHORTEST_SPAN_S:
-        raise SetpointError(f"setpoint {text!r}: /{span:g} s must be {SHORTEST_SPAN_S} s or more")
+    if span < MIN_SPAN_S:
+        raise SetpointError(f"setpoint {text!r}: /{span:g} s must be {MIN_SPAN_S} s or more")
     at = _FUNCTIONS[kind](values, start, span)
-    lowest, highest = min(0.0, *values), max(0.0, *values)
+    min_r, max_r = min(0.0, *values), max(0.0, *values)
     if kind == "sine":
-        lowest, highest = -abs(values[0]), abs(values[0])
-    return Setpoint(text, at, lowest, highest)
+        min_r, max_r = -abs(values[0]), abs(values[0])
+    return Setpoint(text, at, min_r, max_r)
 
 
 def check_within(setpoint: Setpoint, axis: str, min_y: float, max_y: float, unit: str) -> None:
-    """Refuse a setpoint that leaves the axis' range. Raises SetpointError."""
-    for value, limit, breach in (
-        (setpoint.lowest, min_y, setpoint.lowest < min_y),
-        (setpoint.highest, max_y, setpoint.highest > max_y),
+    """Refuse a setpoint that leaves the range of the axis. Raises SetpointError."""
+    for value, limit, key, is_outside in (
+        (setpoint.min_r, min_y, "min_y", setpoint.min_r < min_y),
+        (setpoint.max_r, max_y, "max_y", setpoint.max_r > max_y),
     ):
-        if breach:
-            key = "min_y" if limit == min_y else "max_y"
+        if is_outside:
             raise SetpointError(
                 f"{axis}: setpoint {setpoint.text!r} reaches {value:g} {unit}, beyond {limit:g} {unit} "
                 f"(rig: axes.{axis}.{key})"
             )
+
+
+def _unreadable(text: str) -> str:
+    """Return what is wrong with a text that has none of the forms, and how to write it."""
+    kind, colon, _ = text.partition(":")
+    if kind in FORMS:
+        return f"setpoint {text!r} is not written as {FORMS[kind]}; an example of a setpoint is {EXAMPLE}"
+    hint = did_you_mean(kind, FORMS) if colon else ""
+    return f"setpoint {text!r} is none of {', '.join(FORMS.values())}{hint}"
 
 
 def _step(values: list[float], start: float, _span: float) -> Function:
@@ -108,7 +130,7 @@ def _ladder(values: list[float], start: float, hold: float) -> Function:
     last = len(values) - 1
 
     def at(t: float) -> float:
-        # A billionth of a hold, so that a level begins in time where the quotient falls just short of whole.
+        # 1e-9 of a hold: a level begins in its own sample even if the quotient is rounded down.
         return values[int(min((t - start) / hold + 1e-9, last))] if t >= start else 0.0
 
     return at
@@ -173,9 +195,9 @@ def _from_csv(text: str, content: str, file: str) -> Setpoint:
     return Setpoint(text, at, min(values), max(values))
 
 
-def _rows(content: str, file: str) -> list[list[str]]:
+def _rows(content: str, file: str) -> Iterator[list[str]]:
     try:
-        return list(csv.reader(content.splitlines()))
+        yield from csv.reader(content.splitlines())
     except csv.Error as error:
         raise SetpointError(f"{file}: not a CSV file: {error}") from None
 

@@ -118,5 +118,5 @@ def _describe_centring(commands_sent: int) -> LogEntry:
         Severity.ERROR,
         "link",
         f"the command that centres the valves was sent {commands_sent} times, not {CENTRING_PERIODS}: "
-        "the DAC board's watchdog has to centre them (rig: dac.watchdog_periods)",
+        "the DAC board's watchdog has to centre them (rig: dac.watchdog_timeout_s)",
     )

@@ -1,6 +1,7 @@
-"""Everything a run is made of, as texts and as objects: rig, controllers, setpoints.
+"""What a run is made of: rig, controllers and setpoints, as texts and as objects.
 
-The texts go into the recording; a replay builds the same gateway from them. Reads files; knows no bus.
+The texts go into the recording, and a replay builds the same gateway from them. This module reads files; it
+knows no bus.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from hil.core.errors import DocumentError, SetpointError
 from hil.core.gateway import Gateway
 from hil.core.rig import Rig, read_rig
 from hil.core.setpoints import Setpoint, check_within, csv_file, parse_setpoint
-from hil.host.text_file import read_text
+from hil.core.suggestions import did_you_mean
+from hil.host.text_file import MAX_TABLE_BYTES, read_text
 
 PACKAGE = Path(__file__).parents[1]
 SHIPPED = PACKAGE / "shipped"
@@ -27,31 +29,43 @@ DBC_NAME = "arm.dbc"
 
 @dataclass(frozen=True)
 class RunSetup:
-    """A checked set of rig, controllers and setpoints. ``texts`` holds every document by its name."""
+    """A checked set of rig, controllers and setpoints."""
 
     rig: Rig
     controllers: Mapping[str, ControllerFile]
+    """Controller files by axis name."""
     setpoints: Mapping[str, Setpoint]
+    """Setpoints by axis name."""
     texts: Mapping[str, str]
-    """``rig.toml``, ``arm.dbc``, ``controllers/<axis>.json``, ``setpoints/<axis>.csv``."""
+    """Every document by its name in the recording: ``rig.toml``, ``arm.dbc``, ``controllers/<axis>.json``,
+    ``setpoints/<axis>.csv``.
+    """
 
     def gateway(self, first_deadline_ns: int) -> Gateway:
-        """A fresh gateway core in state offline."""
+        """Return a new gateway core in state offline."""
         laws = {name: ControlLaw(c.law, c.sample_time_s) for name, c in self.controllers.items()}
         return Gateway(self.rig, laws, self.setpoints, first_deadline_ns)
 
     def digests(self) -> dict[str, str]:
-        """SHA-256 of every document, by its name."""
+        """Return the SHA-256 of every document, by its name."""
         return {name: hashlib.sha256(text.encode()).hexdigest() for name, text in self.texts.items()}
 
     def fingerprint(self) -> str:
-        """SHA-256 over every text and setpoint: two runs with the same one had the same configuration."""
+        """Return the SHA-256 over all texts and setpoints, which is equal for equal configurations."""
         digest = hashlib.sha256()
         for name, text in sorted(self.texts.items()):
             digest.update(f"{name}\0{text}\0".encode())
         for name, setpoint in self.setpoints.items():
             digest.update(f"{name}\0{setpoint.text}\0".encode())
         return digest.hexdigest()
+
+
+def read_rig_file(path: Path | None) -> Rig:
+    """Read a rig file, or the shipped one if ``path`` is None; not the files that it names.
+
+    Raises DocumentError.
+    """
+    return read_rig(read_text(path or SHIPPED / RIG_NAME), str(path or RIG_NAME))
 
 
 def load_setup(
@@ -61,11 +75,12 @@ def load_setup(
     further_texts: Mapping[str, str] | None = None,
     origins: Mapping[str, str] | None = None,
 ) -> RunSetup:
-    """Read a rig file (the shipped one without a path) and what it names, with overrides by axis.
+    """Read a rig file (the shipped one if ``rig_path`` is None) and the files that it names.
 
-    ``controllers`` and ``setpoints`` replace those of the rig file; file names in the rig file are relative
-    to it, in overrides to the working directory. ``further_texts`` are kept with the run. ``origins`` says,
-    for errors, where an override is from (``setpoints.vertical``) if not from an option.
+    ``controllers`` and ``setpoints``, by axis name, replace those of the rig file. What they replace is
+    neither read nor checked. File names in the rig file are relative to it, others to the working directory.
+    ``further_texts`` are kept with the run. ``origins`` says for errors where a replacement comes from, by
+    ``controllers.<axis>`` or ``setpoints.<axis>``; without an entry it is a command-line option.
 
     Raises DocumentError or SetpointError.
     """
@@ -79,7 +94,10 @@ def load_setup(
     for option, given in (("--controller", controllers), ("--setpoint", setpoints)):
         for name in given:
             if name not in rig.axes:
-                raise DocumentError(f"{option} {name}=…: no such axis; the rig has {', '.join(rig.axes)}")
+                raise DocumentError(
+                    f"{option} {name}=…: the axes of the rig are {', '.join(rig.axes)}"
+                    f"{did_you_mean(name, rig.axes)}"
+                )
     chosen: dict[str, str] = {}
     for name, axis in rig.axes.items():
         of_axis = f"{sources[RIG_NAME]}: axes.{name}"
@@ -99,33 +117,33 @@ def load_setup(
         file = csv_file(chosen[name])
         if file is not None:
             path = Path(file) if name in setpoints else base / file
-            texts[f"setpoints/{name}.csv"] = read_text(path)
+            texts[f"setpoints/{name}.csv"] = read_text(path, MAX_TABLE_BYTES)
     return setup_from_texts(texts, chosen, sources)
 
 
 def setup_from_texts(
     texts: Mapping[str, str], setpoints: Mapping[str, str], sources: Mapping[str, str] | None = None
 ) -> RunSetup:
-    """Build and cross-check a setup from its documents, as a recording holds them.
+    """Build and check a setup from its documents, as a recording holds them.
 
-    ``sources`` are the files that the documents were read from, for errors, and where the setpoints
-    (``setpoints.vertical``) are from; without one its name is used.
+    ``sources`` says for errors which files the documents were read from, and where each setpoint
+    (``setpoints.vertical``) is written. Without an entry, the document's own name is used.
     Raises DocumentError or SetpointError.
     """
     sources = sources or {}
-    rig = read_rig(_part(texts, RIG_NAME), sources.get(RIG_NAME, RIG_NAME))
+    rig = read_rig(_document(texts, RIG_NAME), sources.get(RIG_NAME, RIG_NAME))
     files: dict[str, ControllerFile] = {}
     parsed: dict[str, Setpoint] = {}
     for name, axis in rig.axes.items():
         document = f"controllers/{name}.json"
         source = f"{name}: {sources.get(document, document)}"
-        files[name] = controller = read_controller(_part(texts, document), source)
+        files[name] = controller = read_controller(_document(texts, document), source)
         check_controller_fits(controller, source, rig.loop.period_s, axis.unit)
         check_law_runs(controller.law, controller.sample_time_s, source)
         if name not in setpoints:
             raise SetpointError(f"no setpoint for axis {name}")
-        is_table = csv_file(setpoints[name]) is not None
-        table = _part(texts, f"setpoints/{name}.csv") if is_table else ""
+        has_table = csv_file(setpoints[name]) is not None
+        table = _document(texts, f"setpoints/{name}.csv") if has_table else ""
         try:
             parsed[name] = parse_setpoint(setpoints[name], table)
             check_within(parsed[name], name, axis.min_y, axis.max_y, axis.unit)
@@ -136,24 +154,28 @@ def setup_from_texts(
 
 
 def shipped_controllers() -> list[str]:
-    """Names of the controllers in the package."""
+    """Return the names of the controllers that the package contains."""
     return sorted(path.stem for path in SHIPPED_CONTROLLERS.glob("*.json"))
 
 
 def _controller_path(name: str, base: Path, origin: str) -> Path:
-    """A shipped name, or a file relative to ``base``; ``origin`` is where it is named, for errors."""
-    if name in shipped_controllers():
+    """Return the file of a shipped controller, or a file relative to ``base``.
+
+    ``origin`` is where the controller is named, for errors. Raises DocumentError.
+    """
+    shipped = shipped_controllers()
+    if name in shipped:
         return SHIPPED_CONTROLLERS / f"{name}.json"
     path = base / name
     if not path.exists():
         raise DocumentError(
-            f"{origin}: controller {name!r}: no file {path}, and none of the shipped "
-            f"{', '.join(shipped_controllers())}"
+            f"{origin}: controller {name!r}: there is no file {path}, and it is none of the shipped "
+            f"{', '.join(shipped)}{did_you_mean(name, shipped)}"
         )
     return path
 
 
-def _part(texts: Mapping[str, str], name: str) -> str:
+def _document(texts: Mapping[str, str], name: str) -> str:
     if name not in texts:
-        raise DocumentError(f"{name} is missing; it is needed to build the gateway")
+        raise DocumentError(f"{name} is missing; the gateway cannot be built without it")
     return texts[name]

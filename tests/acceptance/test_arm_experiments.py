@@ -187,7 +187,7 @@ def test_an_event_reaches_the_boards_in_their_own_process(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--event", "payload:300@2"], "--event 'payload:300@2': mass_kg: 300: expected `float` <= 100.0"),
+        (["--event", "payload:300@2"], "--event 'payload:300@2': mass_kg is 300, but must be at most 100.0"),
         (["--linear", "--event", "payload:3@2"], "--event is for the pneumatic arm"),
         (
             ["--bus", "inproc:x", "--event", "payload:3@2"],

@@ -17,7 +17,9 @@ from support.shipped_rig import SHIPPED_RIG
 
 RIG: Rig = msgspec.structs.replace(
     SHIPPED_RIG,
-    dac=DacSettings(protected=True, apply="at sync", watchdog_periods=5, heartbeat_timeout_periods=27),
+    dac=DacSettings(
+        protected=True, apply="at sync", watchdog_timeout_s=5 * 0.0112, heartbeat_timeout_s=27 * 0.0112
+    ),
 )
 HEARTBEAT_NS = 100_000_000
 MS = 1_000_000

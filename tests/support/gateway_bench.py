@@ -26,16 +26,17 @@ from hil.core.setpoints import parse_setpoint
 from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
+from support.constants import PERIOD_S
 
 EXAMPLE_RIG = (files("hil.shipped") / "rig.toml").read_text()
 
 FIXED = {
     "loop.period_s": "0.0112",
-    "gateway.heartbeat_periods": "9",
+    "gateway.heartbeat_interval_s": "0.1",
     "adc.stale_after_periods": "3",
-    "adc.heartbeat_timeout_periods": "27",
-    "dac.watchdog_periods": "5",
-    "dac.heartbeat_timeout_periods": "27",
+    "adc.heartbeat_timeout_s": "0.3024",
+    "dac.watchdog_timeout_s": "0.056",
+    "dac.heartbeat_timeout_s": "0.3024",
     "dac.apply": '"at sync"',
     "axes.vertical.valve.max_rate_v_s": "400.0",
     "axes.horizontal.valve.max_rate_v_s": "400.0",
@@ -67,7 +68,8 @@ def rig_text(changes: Mapping[str, str] | None = None, axes: Sequence[str] = AXE
     """The shipped rig file with ``FIXED`` and ``changes`` (dotted key to TOML literal), for ``axes`` only."""
     lines = EXAMPLE_RIG.splitlines()
     stale = (changes or {}).get("adc.stale_after_periods", "0")
-    watchdog = {"dac.watchdog_periods": str(int(stale) + 2)} if stale.isdecimal() and int(stale) > 3 else {}
+    is_long = stale.isdecimal() and int(stale) > 3
+    watchdog = {"dac.watchdog_timeout_s": str((int(stale) + 2) * PERIOD_S)} if is_long else {}
     for dotted, literal in (FIXED | watchdog | dict(changes or {})).items():
         table, _, key = dotted.rpartition(".")
         number = line_of(lines, table, key)

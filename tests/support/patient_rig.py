@@ -7,18 +7,18 @@ from pathlib import Path
 
 import hil
 
-STALE_PERIODS, WATCHDOG_PERIODS, HEARTBEAT_PERIODS = 40, 45, 180
+STALE_PERIODS, WATCHDOG_S, HEARTBEAT_S = 40, 0.504, 2.016
 
 
 def write_patient_rig(path: Path) -> str:
     """Write the rig file to ``path``, and return the path as an argument of a command."""
     text = (Path(hil.__file__).parent / "shipped" / "rig.toml").read_text()
-    for key, periods, places in (
+    for key, limit, places in (
         ("stale_after_periods", STALE_PERIODS, 1),
-        ("watchdog_periods", WATCHDOG_PERIODS, 1),
-        ("heartbeat_timeout_periods", HEARTBEAT_PERIODS, 2),
+        ("watchdog_timeout_s", WATCHDOG_S, 1),
+        ("heartbeat_timeout_s", HEARTBEAT_S, 2),
     ):
-        text, count = re.subn(rf"^{key} = \d+", f"{key} = {periods}", text, flags=re.MULTILINE)
+        text, count = re.subn(rf"^{key} = [\d.]+", f"{key} = {limit}", text, flags=re.MULTILINE)
         assert count == places
     path.write_text(text)
     return str(path)

@@ -79,7 +79,7 @@ Modules that lie directly in a package, such as ``design.cli``, are the outermos
 folder.
 """
 
-FROM_HIL_FOR_DESIGN = ("hil.core", "hil.recording", "hil.host.text_file")
+FROM_HIL_FOR_DESIGN = ("hil.core", "hil.recording", "hil.host.text_file", "hil.host.command_parser")
 FROM_HIL_FOR_FIRMWARE = {
     "hil.core.documents",
     "hil.core.errors",

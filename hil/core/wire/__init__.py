@@ -1,1 +1,1 @@
-"""The wire: ``arm.dbc`` describes every frame; the codec is compiled from it."""
+"""Frames on the bus: ``arm.dbc`` describes each of them, and the codec is compiled from it."""

@@ -14,20 +14,20 @@ _NMT = Struct("<BB")
 
 
 class Nmt(NamedTuple):
-    """Signals of NMT."""
+    """Signals of a frame NMT."""
 
     command: int
     node_id: int
 
 
 def decode_nmt(data: bytes) -> Nmt:
-    """Signals of NMT, from a frame of its full length."""
+    """Return the signals of a frame NMT. ``data`` must have its full length."""
     command, node_id = _NMT.unpack(data)
     return Nmt(command, node_id)
 
 
 def encode_nmt(command: int, node_id: int) -> bytes:
-    """Data of a NMT frame."""
+    """Return the data of a frame NMT."""
     return _NMT.pack(command, node_id)
 
 
@@ -40,7 +40,7 @@ _EMCY_ADC = Struct("<HBBI")
 
 
 class EmcyAdc(NamedTuple):
-    """Signals of EMCY_ADC."""
+    """Signals of a frame EMCY_ADC."""
 
     error_code: int
     error_register: int
@@ -49,13 +49,13 @@ class EmcyAdc(NamedTuple):
 
 
 def decode_emcy_adc(data: bytes) -> EmcyAdc:
-    """Signals of EMCY_ADC, from a frame of its full length."""
+    """Return the signals of a frame EMCY_ADC. ``data`` must have its full length."""
     error_code, error_register, vendor_code, vendor_value = _EMCY_ADC.unpack(data)
     return EmcyAdc(error_code, error_register, vendor_code, vendor_value)
 
 
 def encode_emcy_adc(error_code: int, error_register: int, vendor_code: int, vendor_value: int) -> bytes:
-    """Data of a EMCY_ADC frame."""
+    """Return the data of a frame EMCY_ADC."""
     return _EMCY_ADC.pack(error_code, error_register, vendor_code, vendor_value)
 
 
@@ -65,7 +65,7 @@ _EMCY_DAC = Struct("<HBBI")
 
 
 class EmcyDac(NamedTuple):
-    """Signals of EMCY_DAC."""
+    """Signals of a frame EMCY_DAC."""
 
     error_code: int
     error_register: int
@@ -74,13 +74,13 @@ class EmcyDac(NamedTuple):
 
 
 def decode_emcy_dac(data: bytes) -> EmcyDac:
-    """Signals of EMCY_DAC, from a frame of its full length."""
+    """Return the signals of a frame EMCY_DAC. ``data`` must have its full length."""
     error_code, error_register, vendor_code, vendor_value = _EMCY_DAC.unpack(data)
     return EmcyDac(error_code, error_register, vendor_code, vendor_value)
 
 
 def encode_emcy_dac(error_code: int, error_register: int, vendor_code: int, vendor_value: int) -> bytes:
-    """Data of a EMCY_DAC frame."""
+    """Return the data of a frame EMCY_DAC."""
     return _EMCY_DAC.pack(error_code, error_register, vendor_code, vendor_value)
 
 
@@ -90,7 +90,7 @@ _TPDO1_ADC = Struct("<hhhBB")
 
 
 class Tpdo1Adc(NamedTuple):
-    """Signals of TPDO1_ADC in V."""
+    """Signals of a frame TPDO1_ADC, in V."""
 
     potentiometer1: float
     potentiometer2: float
@@ -100,7 +100,7 @@ class Tpdo1Adc(NamedTuple):
 
 
 def decode_tpdo1_adc(data: bytes) -> Tpdo1Adc:
-    """Signals of TPDO1_ADC, from a frame of its full length."""
+    """Return the signals of a frame TPDO1_ADC. ``data`` must have its full length."""
     potentiometer1, potentiometer2, potentiometer3, counter, crc8 = _TPDO1_ADC.unpack(data)
     return Tpdo1Adc(
         potentiometer1 * 0.00030517578125,
@@ -114,7 +114,7 @@ def decode_tpdo1_adc(data: bytes) -> Tpdo1Adc:
 def encode_tpdo1_adc(
     potentiometer1: float, potentiometer2: float, potentiometer3: float, counter: int, crc8: int
 ) -> bytes:
-    """Data of a TPDO1_ADC frame."""
+    """Return the data of a frame TPDO1_ADC."""
     return _TPDO1_ADC.pack(
         round(potentiometer1 / 0.00030517578125),
         round(potentiometer2 / 0.00030517578125),
@@ -130,7 +130,7 @@ _RPDO1_DAC = Struct("<hhhBB")
 
 
 class Rpdo1Dac(NamedTuple):
-    """Signals of RPDO1_DAC in V."""
+    """Signals of a frame RPDO1_DAC, in V."""
 
     valve1: float
     valve2: float
@@ -140,7 +140,7 @@ class Rpdo1Dac(NamedTuple):
 
 
 def decode_rpdo1_dac(data: bytes) -> Rpdo1Dac:
-    """Signals of RPDO1_DAC, from a frame of its full length."""
+    """Return the signals of a frame RPDO1_DAC. ``data`` must have its full length."""
     valve1, valve2, valve3, counter, crc8 = _RPDO1_DAC.unpack(data)
     return Rpdo1Dac(
         valve1 * 0.00030517578125, valve2 * 0.00030517578125, valve3 * 0.00030517578125, counter, crc8
@@ -148,7 +148,7 @@ def decode_rpdo1_dac(data: bytes) -> Rpdo1Dac:
 
 
 def encode_rpdo1_dac(valve1: float, valve2: float, valve3: float, counter: int, crc8: int) -> bytes:
-    """Data of a RPDO1_DAC frame."""
+    """Return the data of a frame RPDO1_DAC."""
     return _RPDO1_DAC.pack(
         round(valve1 / 0.00030517578125),
         round(valve2 / 0.00030517578125),
@@ -164,19 +164,19 @@ _HEARTBEAT_GATEWAY = Struct("<B")
 
 
 class HeartbeatGateway(NamedTuple):
-    """Signals of HEARTBEAT_GATEWAY."""
+    """Signals of a frame HEARTBEAT_GATEWAY."""
 
     state: int
 
 
 def decode_heartbeat_gateway(data: bytes) -> HeartbeatGateway:
-    """Signals of HEARTBEAT_GATEWAY, from a frame of its full length."""
+    """Return the signals of a frame HEARTBEAT_GATEWAY. ``data`` must have its full length."""
     (state,) = _HEARTBEAT_GATEWAY.unpack(data)
     return HeartbeatGateway(state)
 
 
 def encode_heartbeat_gateway(state: int) -> bytes:
-    """Data of a HEARTBEAT_GATEWAY frame."""
+    """Return the data of a frame HEARTBEAT_GATEWAY."""
     return _HEARTBEAT_GATEWAY.pack(state)
 
 
@@ -186,19 +186,19 @@ _HEARTBEAT_ADC = Struct("<B")
 
 
 class HeartbeatAdc(NamedTuple):
-    """Signals of HEARTBEAT_ADC."""
+    """Signals of a frame HEARTBEAT_ADC."""
 
     state: int
 
 
 def decode_heartbeat_adc(data: bytes) -> HeartbeatAdc:
-    """Signals of HEARTBEAT_ADC, from a frame of its full length."""
+    """Return the signals of a frame HEARTBEAT_ADC. ``data`` must have its full length."""
     (state,) = _HEARTBEAT_ADC.unpack(data)
     return HeartbeatAdc(state)
 
 
 def encode_heartbeat_adc(state: int) -> bytes:
-    """Data of a HEARTBEAT_ADC frame."""
+    """Return the data of a frame HEARTBEAT_ADC."""
     return _HEARTBEAT_ADC.pack(state)
 
 
@@ -208,17 +208,17 @@ _HEARTBEAT_DAC = Struct("<B")
 
 
 class HeartbeatDac(NamedTuple):
-    """Signals of HEARTBEAT_DAC."""
+    """Signals of a frame HEARTBEAT_DAC."""
 
     state: int
 
 
 def decode_heartbeat_dac(data: bytes) -> HeartbeatDac:
-    """Signals of HEARTBEAT_DAC, from a frame of its full length."""
+    """Return the signals of a frame HEARTBEAT_DAC. ``data`` must have its full length."""
     (state,) = _HEARTBEAT_DAC.unpack(data)
     return HeartbeatDac(state)
 
 
 def encode_heartbeat_dac(state: int) -> bytes:
-    """Data of a HEARTBEAT_DAC frame."""
+    """Return the data of a frame HEARTBEAT_DAC."""
     return _HEARTBEAT_DAC.pack(state)

@@ -1,9 +1,9 @@
 """Compile ``arm.dbc`` into ``codec.py``: ``python -m hil.core.wire.compile_dbc`` (needs the extra ``test``).
 
-A development tool: the daemon imports what it wrote. Every message becomes an identifier, a length, a
-NamedTuple of its signals in physical units, and a decode and an encode function around one precompiled
-``struct.Struct``. Signals must be whole little-endian bytes that follow one another, as every
-frame of this wire is; anything else is refused here rather than decoded wrongly later.
+This is a development tool. The gateway imports only its result. Every message becomes an identifier, a
+length, a NamedTuple of its signals in physical units, and a decode and an encode function around one
+precompiled ``struct.Struct``. Signals must be whole little-endian bytes without gaps, as in every frame of
+this bus. Any other layout is refused.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ MESSAGE = '''_{constant} = Struct("{format}")
 
 
 class {kind}(NamedTuple):
-    """Signals of {constant}{unit}."""
+    """Signals of a frame {constant}{unit}."""
 
     {fields}
 
 
 def decode_{function}(data: bytes) -> {kind}:
-    """Signals of {constant}, from a frame of its full length."""
+    """Return the signals of a frame {constant}. ``data`` must have its full length."""
     {targets} = _{constant}.unpack(data)
     return {kind}({physical})
 
 
 def encode_{function}({arguments}) -> bytes:
-    """Data of a {constant} frame."""
+    """Return the data of a frame {constant}."""
     return _{constant}.pack({raw})
 
 '''
 
 
 def compile_dbc(path: Path) -> str:
-    """The source of the codec module for the DBC file at ``path``. Raises ValueError for other layouts."""
+    """Return the source of the codec for a DBC file. Raises ValueError for a layout that is not supported."""
     import cantools
 
     database: Any = cantools.database.load_file(str(path))
@@ -69,7 +69,7 @@ def _message(message: Any) -> str:
         constant=constant,
         format=_struct_format(message, signals),
         kind="".join(part.capitalize() for part in constant.split("_")),
-        unit="".join(f" in {unit}" for unit in sorted({signal.unit for signal in signals if signal.unit})),
+        unit="".join(f", in {unit}" for unit in sorted({signal.unit for signal in signals if signal.unit})),
         fields="\n    ".join(typed),
         function=constant.lower(),
         targets=", ".join(names) + ("," if len(names) == 1 else ""),

@@ -1,4 +1,4 @@
-"""CRC-8 after SAE J1850: polynomial 0x1D, initial value 0xFF, final exclusive or 0xFF."""
+"""CRC-8 of SAE J1850: polynomial 0x1D, initial value 0xFF, final exclusive or with 0xFF."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TABLE = _table()
 
 
 def crc8_j1850(data: bytes) -> int:
-    """CRC of ``data``; 0x4B for ``b"123456789"``."""
+    """Return the CRC of ``data``. The check value, for ``b"123456789"``, is 0x4B."""
     register = 0xFF
     for byte in data:
         register = _TABLE[register ^ byte]

@@ -108,7 +108,9 @@ def test_the_recorded_texts_of_a_linear_plant_have_no_arm() -> None:
 def test_an_impossible_arm_file_is_rejected_before_the_run_starts(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(SHIPPED_TEXT.replace("bore_m = 0.010", "bore_m = -0.010"))
-    with pytest.raises(DocumentError, match=r"mine\.toml: axes\.horizontal\.cylinder\.bore_m: -0\.01: "):
+    with pytest.raises(
+        DocumentError, match=r"mine\.toml: axes\.horizontal\.cylinder\.bore_m is -0\.01, but must be "
+    ):
         plant_texts(SHIPPED_RIG, options("--arm", str(path)))
 
 

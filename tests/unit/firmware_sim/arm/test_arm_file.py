@@ -21,33 +21,33 @@ def rejection(dotted: str, value: str) -> str:
 @pytest.mark.parametrize(
     ("dotted", "value", "limit"),
     [
-        ("step_s", "0.01", "<= 0.001"),
-        ("body.vertical_kg", "0.0", ">= 0.01"),
-        ("body.pulley_m", "-0.09", ">= 0.001"),
-        ("supply.gauge_kpa", "-1.0", ">= 0.0"),
-        ("supply.gauge_kpa", "5500.0", "<= 1000.0"),
-        ("supply.volume_m3", "-2e-3", ">= 1e-05"),
-        ("supply.temperature_c", "-300.0", ">= -20.0"),
-        (f"{VERTICAL}.cylinder.bore_m", "-0.02", ">= 0.0001"),
-        (f"{VERTICAL}.cylinder.dead_volume_m3", "-1e-6", ">= 1e-07"),
-        (f"{VERTICAL}.cylinder.tube_m", "-1.0", ">= 0.0"),
-        (f"{VERTICAL}.cylinder.heat_w_k", "-0.1", ">= 0.0"),
-        (f"{VERTICAL}.valve.critical_ratio", "1.2", "<= 0.98"),
-        (f"{VERTICAL}.valve.critical_ratio", "-0.1", ">= 0.0"),
-        (f"{VERTICAL}.valve.conductance_m3_s_pa", "-1e-9", ">= 0.0"),
-        (f"{VERTICAL}.valve.clearance", "-0.1", ">= 0.0"),
-        (f"{VERTICAL}.valve.spool_damping", "0.0", ">= 0.05"),
-        (f"{VERTICAL}.valve.hysteresis_v", "-0.005", ">= 0.0"),
-        (f"{VERTICAL}.friction.coulomb_n", "0.0", ">= 1e-06"),
-        (f"{VERTICAL}.friction.viscous_n_s_m", "-1.0", ">= 0.0"),
-        (f"{VERTICAL}.spring.rate_n_m", "-1.0", ">= 0.0"),
-        (f"{VERTICAL}.stop.damping_s_m", "-1.0", ">= 0.0"),
-        (f"{VERTICAL}.potentiometer.noise_v", "-1.0", ">= 0.0"),
+        ("step_s", "0.01", "at most 0.001"),
+        ("body.vertical_kg", "0.0", "at least 0.01"),
+        ("body.pulley_m", "-0.09", "at least 0.001"),
+        ("supply.gauge_kpa", "-1.0", "at least 0.0"),
+        ("supply.gauge_kpa", "5500.0", "at most 1000.0"),
+        ("supply.volume_m3", "-2e-3", "at least 1e-05"),
+        ("supply.temperature_c", "-300.0", "at least -20.0"),
+        (f"{VERTICAL}.cylinder.bore_m", "-0.02", "at least 0.0001"),
+        (f"{VERTICAL}.cylinder.dead_volume_m3", "-1e-6", "at least 1e-07"),
+        (f"{VERTICAL}.cylinder.tube_m", "-1.0", "at least 0.0"),
+        (f"{VERTICAL}.cylinder.heat_w_k", "-0.1", "at least 0.0"),
+        (f"{VERTICAL}.valve.critical_ratio", "1.2", "at most 0.98"),
+        (f"{VERTICAL}.valve.critical_ratio", "-0.1", "at least 0.0"),
+        (f"{VERTICAL}.valve.conductance_m3_s_pa", "-1e-9", "at least 0.0"),
+        (f"{VERTICAL}.valve.clearance", "-0.1", "at least 0.0"),
+        (f"{VERTICAL}.valve.spool_damping", "0.0", "at least 0.05"),
+        (f"{VERTICAL}.valve.hysteresis_v", "-0.005", "at least 0.0"),
+        (f"{VERTICAL}.friction.coulomb_n", "0.0", "at least 1e-06"),
+        (f"{VERTICAL}.friction.viscous_n_s_m", "-1.0", "at least 0.0"),
+        (f"{VERTICAL}.spring.rate_n_m", "-1.0", "at least 0.0"),
+        (f"{VERTICAL}.stop.damping_s_m", "-1.0", "at least 0.0"),
+        (f"{VERTICAL}.potentiometer.noise_v", "-1.0", "at least 0.0"),
     ],
 )
 def test_a_value_out_of_range_is_rejected(dotted: str, value: str, limit: str) -> None:
     message = rejection(dotted, value)
-    assert message.startswith(f"mine.toml: {dotted}: {float(value)}: ")
+    assert message.startswith(f"mine.toml: {dotted} is {float(value)}, but must be ")
     assert message.endswith(limit)
 
 

@@ -155,7 +155,7 @@ class TestCommands:
 
 class TestWatchdog:
     def test_valves_centre_exactly_after_the_watchdog_time(self) -> None:
-        bench = Bench(with_dac(apply="at once", watchdog_periods=5)).started()
+        bench = Bench(with_dac(apply="at once", watchdog_timeout_s=5 * 0.0112)).started()
         bench.command(6.25, 5.0, 5.0)
         assert bench.wait(5 * PERIOD_NS - 1) == []
         assert bench.valve_v == (6.25, 5.0, 5.0)
@@ -175,7 +175,7 @@ class TestWatchdog:
         assert bench.valve_v == (6.25, 5.0, 5.0)
 
     def test_bad_commands_do_not_restart_it(self) -> None:
-        bench = Bench(with_dac(apply="at once", watchdog_periods=3)).started()
+        bench = Bench(with_dac(apply="at once", watchdog_timeout_s=3 * 0.0112)).started()
         bench.command(6.25, 5.0, 5.0)
         for _ in range(3):
             bench.give(Frame(0x220, command((6, 6, 6), 77).data[:7] + b"\x00"))
@@ -183,7 +183,7 @@ class TestWatchdog:
         assert bench.valve_v == CENTRED
 
     def test_commands_that_no_sync_applies_do_not_restart_it(self) -> None:
-        bench = Bench(with_dac(watchdog_periods=3)).started()
+        bench = Bench(with_dac(watchdog_timeout_s=3 * 0.0112)).started()
         bench.period(6.25, 5.0, 5.0)
         bench.period(6.25, 5.0, 5.0)
         assert bench.valve_v == (6.25, 5.0, 5.0)
@@ -198,7 +198,7 @@ class TestWatchdog:
         assert {frame.id for frame in frames} == {0x710, 0x720}
 
     def test_a_command_after_the_watchdog_time_does_not_hide_that_it_expired(self) -> None:
-        bench = Bench(with_dac(apply="at once", watchdog_periods=2)).started()
+        bench = Bench(with_dac(apply="at once", watchdog_timeout_s=2 * 0.0112)).started()
         bench.command(6.25, 5.0, 5.0)
         bench.now_ns += 2 * PERIOD_NS + 1
         frames = bench.command(7.5, 5.0, 5.0)
@@ -206,7 +206,7 @@ class TestWatchdog:
         assert (2 * PERIOD_NS + 1, (6.25, 5.0, 5.0)) in bench.plant.held
 
     def test_a_command_at_the_instant_of_the_watchdog_is_in_time(self) -> None:
-        bench = Bench(with_dac(apply="at once", watchdog_periods=2)).started()
+        bench = Bench(with_dac(apply="at once", watchdog_timeout_s=2 * 0.0112)).started()
         bench.command(6.25, 5.0, 5.0)
         bench.now_ns += 2 * PERIOD_NS
         assert bench.command(7.5, 5.0, 5.0) == []
@@ -221,7 +221,7 @@ class TestWatchdog:
 
 
 class TestGatewayHeartbeat:
-    rig = with_dac(apply="at once", heartbeat_timeout_periods=27)
+    rig = with_dac(apply="at once", heartbeat_timeout_s=27 * 0.0112)
 
     def test_its_absence_centres_the_valves_although_commands_continue(self) -> None:
         bench = Bench(self.rig).started()

@@ -91,7 +91,7 @@ def test_no_voltage_of_a_command_with_a_bad_crc_is_ever_applied(
 
 @given(st.integers(1, 50), st.lists(st.integers(0, 3 * PERIOD_NS), min_size=1, max_size=30))
 def test_the_watchdog_acts_after_its_periods_to_the_nanosecond(periods: int, gaps_ns: list[int]) -> None:
-    bench = Bench(with_dac(apply="at once", watchdog_periods=periods)).started()
+    bench = Bench(with_dac(apply="at once", watchdog_timeout_s=periods * 0.0112)).started()
     limit_ns = periods * PERIOD_NS
     bench.command(2.5, 2.5, 2.5)
     for gap_ns in gaps_ns:

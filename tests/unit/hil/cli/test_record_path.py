@@ -1,4 +1,4 @@
-"""Where a run is recorded: what would overwrite something, or find no room, is refused before the run."""
+"""The file of a recording: what would overwrite a file, or not find room, is refused before the run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.cli.record_path import BYTES_PER_S, LEAST_BYTES, recording_path
+from hil.cli.record_path import BYTES_PER_S, OVERHEAD_BYTES, create_folder_of, recording_path
 from hil.core.errors import RecordingError
 
 
@@ -17,11 +17,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def refusal(given: str, *, is_drawn_twice: bool = False) -> str:
+def refusal(given: str, *, has_figure: bool = False) -> str:
     before = sorted(Path().rglob("*"))
     with pytest.raises(RecordingError) as caught:
-        recording_path(Path(given), 10.0, is_drawn_twice)
-    assert sorted(Path().rglob("*")) == before, "nothing was made"
+        recording_path(Path(given), 10.0, has_figure)
+    assert sorted(Path().rglob("*")) == before, "nothing was created"
     return str(caught.value)
 
 
@@ -53,47 +53,61 @@ def test_a_link_to_nowhere_is_kept() -> None:
 def test_the_figure_of_a_scenario_overwrites_nothing_either() -> None:
     Path("run-figure.png").write_text("precious")
     assert "run-figure.png: exists already and would be a plot of run.mcap" in refusal(
-        "run.mcap", is_drawn_twice=True
+        "run.mcap", has_figure=True
     )
-    assert recording_path(Path("run.mcap"), 10.0, is_drawn_twice=False) == Path("run.mcap")
+    assert recording_path(Path("run.mcap"), 10.0, has_figure=False) == Path("run.mcap")
 
 
-def test_the_folder_is_made() -> None:
-    assert recording_path(Path("a/b/run.mcap"), 10.0, False) == Path("a/b/run.mcap")
+def test_a_folder_that_does_not_exist_is_created_and_reported() -> None:
+    path = recording_path(Path("a/b/run.mcap"), 10.0, False)
+    assert path == Path("a/b/run.mcap")
+    assert not Path("a").exists()
+    assert create_folder_of(path) == Path("a/b")
     assert Path("a/b").is_dir()
+    assert create_folder_of(path) is None
+    assert create_folder_of(Path("run.mcap")) is None
+
+
+def test_a_folder_that_cannot_be_created() -> None:
+    with pytest.raises(RecordingError) as caught:
+        create_folder_of(Path("/proc/nowhere/run.mcap"))
+    assert str(caught.value) == (
+        "/proc/nowhere/run.mcap: the folder /proc/nowhere cannot be created: No such file or directory; "
+        "see --record"
+    )
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ("file.mcap/run.mcap", "file.mcap is no directory"),
-        ("file.mcap/folder/run.mcap", "Not a directory"),
+        ("file.mcap/run.mcap", "file.mcap is not a directory"),
+        ("file.mcap/folder/run.mcap", "file.mcap is not a directory"),
         (f"{'x' * 300}.mcap", "File name too long"),
-        ("/proc/nowhere/run.mcap", "No such file or directory"),
     ],
 )
-def test_a_place_that_cannot_be_is_told(given: str, words: str) -> None:
+def test_a_place_where_no_file_can_be_is_refused(given: str, words: str) -> None:
     Path("file.mcap").touch()
-    told = refusal(given)
-    assert told.startswith(f"{given}: cannot be created: ")
-    assert words in told
+    message = refusal(given)
+    assert message.startswith(f"{given}: cannot be created: ")
+    assert words in message
 
 
-@pytest.mark.parametrize(("duration_s", "is_enough"), [(10.0, True), (10.1, False)])
+@pytest.mark.parametrize(("duration_s", "has_room"), [(10.0, True), (10.1, False)])
 def test_a_run_that_finds_no_room_is_refused(
-    monkeypatch: pytest.MonkeyPatch, duration_s: float, is_enough: bool
+    monkeypatch: pytest.MonkeyPatch, duration_s: float, has_room: bool
 ) -> None:
-    blocks = (LEAST_BYTES + 10 * BYTES_PER_S) // 500
+    blocks = (OVERHEAD_BYTES + 10 * BYTES_PER_S) // 500
     monkeypatch.setattr(os, "statvfs", lambda _path: SimpleNamespace(f_bavail=blocks, f_frsize=500))
-    if is_enough:
+    if has_room:
         recording_path(Path("run.mcap"), duration_s, False)
         return
-    with pytest.raises(RecordingError, match=r"1\.5 MB are free on that disk, and 10\.1 s may"):
+    with pytest.raises(RecordingError, match=r"1\.5 MB are free on this disk, but 10\.1 s may need 1\.5 MB"):
         recording_path(Path("run.mcap"), duration_s, False)
 
 
 def test_without_a_name_each_run_has_a_file_of_its_own() -> None:
     first = recording_path(None, 10.0, False)
+    create_folder_of(first)
     first.touch()
     second = recording_path(None, 10.0, False)
     assert first != second

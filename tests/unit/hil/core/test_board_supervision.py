@@ -51,14 +51,14 @@ class TestHeartbeatLoss:
         output = gateway.deadline()
         assert gateway.state is LifeCycleState.FAULT
         assert faults(output) == [
-            f"{board}: no heartbeat for 314 ms, limit 302 ms (rig: {board}.heartbeat_timeout_periods)"
+            f"{board}: no heartbeat for 314 ms, limit 302 ms (rig: {board}.heartbeat_timeout_s)"
         ]
         assert commands(output) == [CENTRED, CENTRED]
         assert output.frames[0].id == codec.RPDO1_DAC
 
     @pytest.mark.parametrize("board", ["adc", "dac"])
     def test_each_board_has_its_own_timeout(self, board: str) -> None:
-        gateway = make_stepped(LifeCycleState.READY, **{f"{board}__heartbeat_timeout_periods": "12"})
+        gateway = make_stepped(LifeCycleState.READY, **{f"{board}__heartbeat_timeout_s": "0.1344"})
         for _ in range(12):
             gateway.deadline()
             gateway.sample()

@@ -12,7 +12,7 @@ START = Frame(0x000, b"\x01\x10")
 
 
 def watch() -> BoardWatch:
-    return BoardWatch("adc", 0x10, TIMEOUT_NS, "adc.heartbeat_timeout_periods")
+    return BoardWatch("adc", 0x10, TIMEOUT_NS, "adc.heartbeat_timeout_s")
 
 
 def test_a_board_without_any_heartbeat_is_silent_but_not_lost() -> None:
@@ -56,7 +56,7 @@ def test_a_heartbeat_may_take_exactly_the_timeout() -> None:
     assert board.check_timeout(1000 + TIMEOUT_NS) is None
     assert board.is_up
     assert board.check_timeout(1000 + TIMEOUT_NS + 1) == (
-        "no heartbeat for 302 ms, limit 302 ms (rig: adc.heartbeat_timeout_periods)"
+        "no heartbeat for 302 ms, limit 302 ms (rig: adc.heartbeat_timeout_s)"
     )
 
 

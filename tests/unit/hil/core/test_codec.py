@@ -1,4 +1,4 @@
-"""The compiled codec is arm.dbc and nothing else; its checksum is SAE J1850's."""
+"""The codec is compiled from arm.dbc; the checksum is that of SAE J1850."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DATABASE: Any = cantools.database.load_file(str(DBC))
 
 
 class TestCompiled:
-    def test_the_checked_in_codec_is_what_the_dbc_compiles_to(self) -> None:
+    def test_the_codec_in_the_repository_is_the_compiled_dbc(self) -> None:
         formatted = subprocess.run(
             [sys.executable, "-m", "ruff", "format", "--stdin-filename", "hil/wire/codec.py", "-"],
             input=compile_dbc(DBC),
@@ -37,12 +37,12 @@ class TestCompiled:
             assert getattr(codec, message.name) == message.frame_id
             assert getattr(codec, f"{message.name}_LENGTH") == message.length
 
-    def test_a_valve_begins_at_its_centre_in_tools_that_send_by_the_dbc(self) -> None:
+    def test_the_initial_value_of_a_valve_in_the_dbc_is_its_centre(self) -> None:
         signals = DATABASE.get_message_by_name("RPDO1_DAC").signals
         assert [signal.initial for signal in signals if signal.name.startswith("Valve")] == [5.0] * 3
 
     @pytest.mark.parametrize("name", ["EMCY_ADC", "EMCY_DAC"])
-    def test_the_dbc_and_the_gateway_tell_emergencies_in_the_same_words(self, name: str) -> None:
+    def test_the_dbc_and_the_gateway_describe_emergencies_in_the_same_words(self, name: str) -> None:
         choices = DATABASE.get_message_by_name(name).get_signal_by_name("ErrorCode").choices
         assert {code: str(text) for code, text in choices.items()} == {0: "no error"} | EMERGENCIES
 
@@ -69,12 +69,12 @@ class TestCompiled:
         assert codec.decode_tpdo1_adc(data) == (5.0, 2.5, 9.99969482421875, 1, 2)
 
     @pytest.mark.parametrize("volts", [10.0, -10.0002, 1e9])
-    def test_what_a_frame_cannot_carry_is_an_error(self, volts: float) -> None:
+    def test_a_voltage_that_a_frame_cannot_carry_is_an_error(self, volts: float) -> None:
         with pytest.raises(struct.error):
             codec.encode_rpdo1_dac(volts, 5.0, 5.0, 0, 0)
 
     @pytest.mark.parametrize("counter", [-1, 256])
-    def test_so_is_a_counter_beyond_a_byte(self, counter: int) -> None:
+    def test_a_counter_of_more_than_a_byte_is_an_error(self, counter: int) -> None:
         with pytest.raises(struct.error):
             codec.encode_rpdo1_dac(5.0, 5.0, 5.0, counter, 0)
 
@@ -91,7 +91,7 @@ SIGNAL = 'BO_ 1 M: 2 A\n SG_ First : 0|8@1+ (1,0) [0|255] "" B\n SG_ Second : {}
         ("8|8@1+", 3, "M.Second: only whole little-endian bytes without gaps or offset"),
     ],
 )
-def test_a_layout_it_would_decode_wrongly_is_refused(
+def test_a_layout_that_is_not_supported_is_refused(
     layout: str, offset: int, said: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "m.dbc"
@@ -129,5 +129,5 @@ class TestCrc8:
     def test_the_check_value(self) -> None:
         assert crc8_j1850(b"123456789") == 0x4B
 
-    def test_of_nothing(self) -> None:
+    def test_the_crc_of_no_data(self) -> None:
         assert crc8_j1850(b"") == 0x00

@@ -1,4 +1,4 @@
-"""Control laws: held against python-control and against what anti-windup and hand-over promise."""
+"""Control laws: compared with python-control; anti-windup and bumpless start as their docstrings say."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SHIPPED = pytest.mark.parametrize("name", shipped_controllers())
 
 
 def run(law: ControlLaw, r: Sequence[float], y: Sequence[float]) -> Array:
-    """Outputs without limits."""
+    """Return the outputs of a law without limits."""
     outputs = []
     for r_k, y_k in zip(r, y, strict=True):
         outputs.append(law.output(r_k, y_k))
@@ -40,14 +40,14 @@ def run(law: ControlLaw, r: Sequence[float], y: Sequence[float]) -> Array:
     return np.array(outputs)
 
 
-def simulated(G: control.TransferFunctionLaw | control.StateSpaceLaw, inputs: Array) -> Array:
-    """python-control's response of a sampled system from rest."""
+def simulated(G: control.TransferFunction | control.StateSpace, inputs: Array) -> Array:
+    """Return the response of a sampled system from rest, as python-control computes it."""
     steps = np.arange(inputs.shape[-1]) * G.dt
     return np.atleast_2d(control.forced_response(G, steps, inputs).outputs)[0]
 
 
-def eq_19(pid: PidLaw) -> tuple[control.TransferFunctionLaw, ...]:
-    """From r and from y, by Tustin's rule, term by term."""
+def eq_19(pid: PidLaw) -> tuple[control.TransferFunction, ...]:
+    """Return eq. (19) from r and from y, each term sampled by Tustin's rule."""
     s = control.tf("s")
     integral = pid.ki / s
     derivative = pid.kd * s / (pid.tau_d * s + 1)
@@ -132,7 +132,7 @@ def spectral_radius(A: Array) -> float:
 
 
 def conditioned(law: Law) -> Array:
-    """A - L C, the law's dynamics while its valve is limited."""
+    """Return A - L C, the dynamics of the law while its valve is limited."""
     A, B, C, D = realise(law, TS)
     return A - anti_windup_gain(A, B, C, D) @ C
 
@@ -163,7 +163,7 @@ INTEGRATING = [
 
 
 def positions(law: ControlLaw, limit_v: float, steps: int, setpoint_until: int = 10_000) -> Array:
-    """The closed loop with eq. (15): a setpoint of 0.1 m, 0 from ``setpoint_until`` on."""
+    """Simulate the closed loop with eq. (15): setpoint 0.1 m, and 0 from period ``setpoint_until`` on."""
     rig = make_rig()
     plant = LinearPlant(rig)
     result = []
@@ -177,28 +177,30 @@ def positions(law: ControlLaw, limit_v: float, steps: int, setpoint_until: int =
 
 
 def way_back(law: ControlLaw, limit_v: float) -> float:
-    """Integral of the absolute error after the setpoint has gone back to 0."""
+    """Return the integral of the absolute error after the setpoint has gone back to 0."""
     return float(np.sum(np.abs(positions(law, limit_v, 2700, setpoint_until=900)[900:]))) * TS
 
 
 class TestAntiWindup:
     @SHIPPED
-    def test_shipped_laws_forget_while_limited(self, name: str) -> None:
+    def test_shipped_laws_decay_while_limited(self, name: str) -> None:
         assert spectral_radius(conditioned(shipped(name))) < 1 - 1e-5
         check_law_runs(shipped(name), TS, name)
 
     @pytest.mark.parametrize("law", INTEGRATING)
-    def test_laws_at_and_beyond_the_stability_limit_forget(self, law: Law) -> None:
+    def test_marginal_and_unstable_laws_decay_while_limited(self, law: Law) -> None:
         assert spectral_radius(conditioned(law)) < 0.9999
         check_law_runs(law, TS, "law")
 
     @given(pids)
-    def test_any_pid_forgets(self, pid: PidLaw) -> None:
+    def test_any_pid_decays_while_limited(self, pid: PidLaw) -> None:
         assert spectral_radius(conditioned(pid)) < 1 - 1e-10
         check_law_runs(pid, TS, "pid")
 
     @given(st.integers(0, 2**32), st.integers(1, 5), st.integers(0, 2))
-    def test_any_law_without_hidden_modes_forgets(self, seed: int, n: int, integrators: int) -> None:
+    def test_any_law_without_hidden_modes_decays_while_limited(
+        self, seed: int, n: int, integrators: int
+    ) -> None:
         generator = np.random.default_rng(seed)
         poles = np.concatenate([np.ones(min(integrators, n)), generator.uniform(-0.99, 0.99, n)])[:n]
         zeros = generator.uniform(-1.5, 1.5, generator.integers(0, n + 1))
@@ -208,8 +210,8 @@ class TestAntiWindup:
         assert spectral_radius(conditioned(law)) < 1 - 1e-10
 
     @pytest.mark.parametrize("law", [*INTEGRATING, *map(shipped, shipped_controllers())])
-    def test_it_is_the_stationary_kalman_predictor(self, law: Law) -> None:
-        """Against scipy's Riccati solver; noise as the docstring says."""
+    def test_the_gain_is_that_of_the_stationary_kalman_predictor(self, law: Law) -> None:
+        """The reference is scipy's Riccati solver with the noise that the docstring states."""
         A, B, C, D = realise(law, TS)
         m = B.shape[1]
         responses = [D, *(C @ np.linalg.matrix_power(A, k) @ B for k in range(len(A)))]
@@ -222,7 +224,7 @@ class TestAntiWindup:
 
     @pytest.mark.parametrize("law", INTEGRATING)
     @pytest.mark.parametrize("factor", [1e-4, 100.0])
-    def test_it_does_not_depend_on_units(self, law: Law, factor: float) -> None:
+    def test_the_gain_does_not_depend_on_units(self, law: Law, factor: float) -> None:
         A, B, C, D = realise(law, TS)
         L = anti_windup_gain(A, B, C, D)
         in_other_input_units = anti_windup_gain(A, factor * B, C, factor * D)
@@ -230,14 +232,14 @@ class TestAntiWindup:
         assert in_other_input_units == pytest.approx(L, rel=1e-6)
         assert in_other_output_units * factor == pytest.approx(L, rel=1e-6)
 
-    def test_it_is_hanus_conditioning_where_zeros_are_well_inside(self) -> None:
+    def test_the_gain_is_hanus_conditioning_for_stable_zeros(self) -> None:
         A, B, C, D = realise(PidLaw(kp=3.0, ki=20.0), TS)
         # L = b/d leaves A - L C with the law's own zero.
         zero = float(A[0, 0] - B[0, 0] / D[0, 0] * C[0, 0])
         assert float(conditioned(PidLaw(kp=3.0, ki=20.0))[0, 0]) == pytest.approx(zero, abs=0.01)
 
     @pytest.mark.parametrize("law", [*INTEGRATING, *map(shipped, shipped_controllers())])
-    def test_it_never_acts_while_nothing_is_limited(self, law: Law) -> None:
+    def test_anti_windup_does_not_act_without_a_limit(self, law: Law) -> None:
         tracking, without = ControlLaw(law, TS), ControlLaw(law, TS)
         without._L = [0.0] * len(without._L)
         r, y = random_signals(3, 60)
@@ -259,7 +261,7 @@ class TestAntiWindup:
 
     @SHIPPED
     def test_after_a_long_limit_the_output_leaves_it_with_the_error(self, name: str) -> None:
-        """30 s at the limit; the output leaves it in the sample in which the error turns."""
+        """After 30 s at the limit, the output leaves it in the sample in which the error changes its sign."""
         law = ControlLaw(shipped(name), TS)
         for _ in range(2700):
             law.advance(min(law.output(0.1, 0.0), 0.5))
@@ -271,14 +273,17 @@ class TestAntiWindup:
         [
             (
                 StateSpaceLaw(A=[[1.0, 0.0], [0.0, 0.5]], B=[[1.0], [1.0]], C=[[0.0, 1.0]], D=[[1.0]]),
-                "not seen in its output",
+                "not seen in the output",
             ),
-            (StateSpaceLaw(A=[[1.1]], B=[[0.0]], C=[[1.0]], D=[[1.0]]), "not moved by its input"),
+            (StateSpaceLaw(A=[[1.1]], B=[[0.0]], C=[[1.0]], D=[[1.0]]), "not moved by the input"),
             (StateSpaceLaw(A=[[1.0]], B=[[0.0]], C=[[1.0]], D=[[1.0]]), "give a minimal realisation"),
             (TransferFunctionLaw(num=[1.0], den=[1e-320, 1.0]), "coefficient of nan"),
-            (TransferFunctionLaw(num=[1.0], den=[1e-300, 1.0]), "coefficient of 1e+300, over 1e+12"),
+            (
+                TransferFunctionLaw(num=[1.0], den=[1e-300, 1.0]),
+                "coefficient of 1e+300, over the limit 1e+12",
+            ),
             (TransferFunctionLaw(num=[1e13], den=[1.0]), "coefficient of 1e+13"),
-            (PidLaw(kp=1e300, ki=0.0), "scale it"),
+            (PidLaw(kp=1e300, ki=0.0), "scale the law"),
         ],
     )
     def test_what_cannot_be_conditioned_or_computed_is_refused(self, law: Law, said: str) -> None:
@@ -286,7 +291,7 @@ class TestAntiWindup:
             check_law_runs(law, TS, "vertical: x.json")
         assert said in str(caught.value)
 
-    def test_a_large_but_sound_law_is_not_refused(self) -> None:
+    def test_a_law_with_the_largest_coefficient_is_accepted(self) -> None:
         check_law_runs(TransferFunctionLaw(num=[1e12], den=[1.0]), TS, "x")
 
 
@@ -301,7 +306,7 @@ WITH_DYNAMICS: list[Law] = [
 ]
 
 
-class TestHandOver:
+class TestBumplessStart:
     @pytest.mark.parametrize("law", WITH_DYNAMICS)
     @pytest.mark.parametrize(
         ("r", "y", "u"), [(0.0, 0.1, 0.0), (0.05, -0.02, 1.5), (0.1, 0.1, -2.0), (0.0, 0.0, 0.0)]
@@ -316,7 +321,7 @@ class TestHandOver:
     )
     @pytest.mark.parametrize(("r", "y", "u"), [(0.0, 0.1, 0.0), (0.05, -0.02, 1.5)])
     def test_afterwards_a_pid_only_integrates(self, pid: PidLaw, r: float, y: float, u: float) -> None:
-        """While r and y stand still only ki times the error moves the output: no jump in any sample."""
+        """For constant r and y, the output changes only by ki times the error: no sample has a jump."""
         law = ControlLaw(pid, TS)
         law.initialise(r, y, u)
         k = np.arange(50)
@@ -336,7 +341,7 @@ class TestHandOver:
         assert np.max(steps) < 0.01 * proportional
 
     @pytest.mark.parametrize("law", WITH_DYNAMICS)
-    def test_it_forgets_what_was_before(self, law: Law) -> None:
+    def test_initialise_removes_the_earlier_state(self, law: Law) -> None:
         used, fresh = ControlLaw(law, TS), ControlLaw(law, TS)
         run(used, *random_signals(4, 30))
         for control_law in (used, fresh):
@@ -345,18 +350,18 @@ class TestHandOver:
         assert np.array_equal(run(used, r, y), run(fresh, r, y))
 
     @pytest.mark.parametrize("law", [PidLaw(kp=2.0, ki=0.0), StateSpaceLaw(A=[], B=[], C=[[]], D=[[2.0]])])
-    def test_a_law_without_dynamics_has_nothing_to_hand_over(self, law: Law) -> None:
+    def test_a_law_without_dynamics_has_no_state_to_set(self, law: Law) -> None:
         control_law = ControlLaw(law, TS)
         control_law.initialise(0.1, 0.0, 5.0)
         assert control_law.output(0.1, 0.0) == pytest.approx(0.2)
 
-    def test_a_law_that_shows_nothing_settles(self) -> None:
+    def test_a_law_whose_state_is_not_seen_in_the_output(self) -> None:
         law = ControlLaw(StateSpaceLaw(A=[[0.5]], B=[[1.0]], C=[[0.0]], D=[[1.0]]), TS)
         law.initialise(0.2, 0.0, 9.0)
         assert law.output(0.2, 0.0) == pytest.approx(0.2)
 
 
-def test_output_may_be_asked_again_without_changing_what_follows() -> None:
+def test_output_does_not_change_the_state() -> None:
     asked_once, asked_often = ControlLaw(shipped("zn"), TS), ControlLaw(shipped("zn"), TS)
     for r, y in zip(*random_signals(6, 20), strict=True):
         expected = asked_once.output(r, y)
@@ -367,7 +372,7 @@ def test_output_may_be_asked_again_without_changing_what_follows() -> None:
 
 
 @pytest.mark.parametrize("law", [*INTEGRATING, *map(shipped, shipped_controllers())])
-def test_what_was_applied_acts_through_the_gain(law: Law) -> None:
+def test_the_limited_output_acts_through_the_gain(law: Law) -> None:
     A, B, C, D = realise(law, TS)
     expected = float((C @ anti_windup_gain(A, B, C, D))[0, 0])
     free, limited = ControlLaw(law, TS), ControlLaw(law, TS)

@@ -1,4 +1,4 @@
-"""Controller files: the shipped ones load; what does not fit is refused by file, key and limit."""
+"""Controller files: the shipped ones load; an error names file, key and limit."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.controller_file import (
+    MAX_COEFFICIENT,
+    MAX_STATES,
     ControllerFile,
     PidLaw,
     StateSpaceLaw,
@@ -46,11 +48,11 @@ def refusal(plain: dict[str, Any]) -> str:
 
 
 class TestShipped:
-    def test_the_papers_four_are_among_them(self) -> None:
+    def test_the_four_controllers_of_the_paper_are_shipped(self) -> None:
         assert {"hls", "ppid", "tlc", "zn"} <= set(shipped_controllers())
 
     @pytest.mark.parametrize("name", shipped_controllers())
-    def test_they_load_and_fit_the_papers_loop(self, name: str) -> None:
+    def test_shipped_controllers_fit_the_loop_of_the_paper(self, name: str) -> None:
         controller = read_controller((SHIPPED_CONTROLLERS / f"{name}.json").read_text(), name)
         assert controller.name == name
         check_controller_fits(controller, name, 0.0112, controller.input_unit)
@@ -70,24 +72,41 @@ def test_a_pid_is_read_with_its_defaults() -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"format": "hil-plant"}, "format: 'hil-plant': must be 'hil-controller'"),
-        ({"version": 2}, "version: 2: must be 1"),
-        ({"version": "1"}, "version: '1': expected `int`, got `str`"),
-        ({"input_unit": "mm"}, "input_unit: 'mm': must be 'm' or 'rad'"),
-        ({"output_unit": "mV"}, "output_unit: 'mV': must be 'V'"),
-        ({"sample_time_s": 0}, "sample_time_s: 0: expected `float` > 0.0"),
-        ({"sample_time_s": -0.0112}, "sample_time_s: -0.0112: expected `float` > 0.0"),
-        ({"sample_time": 1}, "object contains unknown field `sample_time`"),
-        ({"law": {"kind": "lqr"}}, "law.kind: 'lqr': must be 'pid' or 'transfer_function' or 'state_space'"),
-        ({"law": {"kp": 1.0}}, "law: object missing required field `kind`"),
-        ({"law": {"kind": "pid", "kp": 1.0}}, "law: object missing required field `ki`"),
-        ({"law": PID["law"] | {"Kp": 1.0}}, "law: object contains unknown field `Kp`"),
-        ({"law": PID["law"] | {"kp": "11"}}, "law.kp: '11': expected `float`, got `str`"),
-        ({"law": PID["law"] | {"tau_d": -0.1}}, "law.tau_d: -0.1: expected `float` >= 0.0"),
-        ({"law": PID["law"] | {"tau_d": 0}}, "law.tau_d: 0 s with kd 0.3 is an unfiltered derivative"),
+        ({"format": "hil"}, "format is 'hil', but must be 'hil-controller'"),
+        ({"version": 2}, "version is 2, but must be 1"),
+        ({"version": "1"}, "version is '1', but must be a whole number"),
+        ({"input_unit": "mm"}, "input_unit is 'mm', but must be 'm' or 'rad'"),
+        ({"output_unit": "mV"}, "output_unit is 'mV', but must be 'V'"),
+        ({"sample_time_s": 0}, "sample_time_s is 0, but must be more than 0.0"),
+        ({"sample_time_s": -0.0112}, "sample_time_s is -0.0112, but must be more than 0.0"),
+        (
+            {"sample_time": 1},
+            "unknown key sample_time; did you mean sample_time_s? "
+            "Valid keys: format, version, name, description, sample_time_s, input_unit, output_unit, law, "
+            "origin",
+        ),
+        (
+            {"law": {"kind": "lqr"}},
+            "law.kind is 'lqr', but must be 'pid' or 'transfer_function' or 'state_space'",
+        ),
+        (
+            {"law": {"kp": 1.0}},
+            "law: missing key kind, which must be 'pid' or 'transfer_function' or 'state_space'",
+        ),
+        ({"law": {"kind": "pid", "kp": 1.0}}, "law: missing key ki"),
+        (
+            {"law": PID["law"] | {"Kp": 1.0}},
+            "law: unknown key Kp; did you mean kp? Valid keys: kind, kp, ki, kd, tau_d, b, c",
+        ),
+        ({"law": PID["law"] | {"kp": "11"}}, "law.kp is '11', but must be a number"),
+        ({"law": PID["law"] | {"tau_d": -0.1}}, "law.tau_d is -0.1, but must be at least 0.0"),
+        (
+            {"law": PID["law"] | {"tau_d": 0}},
+            "law.tau_d is 0 s with kd 0.3: the derivative is not filtered; give tau_d > 0",
+        ),
         (
             {"law": {"kind": "transfer_function", "num": [1.0], "den": [1.0, [2.0]]}},
-            "law.den[1]: expected `float`, got `array`",
+            "law.den[1] is a list, but must be a number",
         ),
         (
             {"law": {"kind": "transfer_function", "num": [1.0, 2.0, 3.0], "den": [1.0, -1.0]}},
@@ -101,21 +120,24 @@ def test_a_pid_is_read_with_its_defaults() -> None:
             {"law": {"kind": "transfer_function", "num": [1.0], "den": []}},
             "law.den: the leading coefficient must not be 0",
         ),
-        ({"law": {"kind": "transfer_function", "num": [], "den": [1.0]}}, "law.num: empty"),
+        (
+            {"law": {"kind": "transfer_function", "num": [], "den": [1.0]}},
+            "law.num is empty; give at least one coefficient",
+        ),
         (
             {"law": {"kind": "state_space", "A": [[1]], "B": [[1]], "C": [[1]], "D": [[1]], "inputs": "y"}},
-            "law.inputs: 'y': must be 'e' or 'r, y'",
+            "law.inputs is 'y', but must be 'e' or 'r, y'",
         ),
     ],
 )
-def test_what_is_wrong_is_refused_by_file_and_key(changes: dict[str, Any], text: str) -> None:
+def test_an_error_names_file_and_key(changes: dict[str, Any], text: str) -> None:
     assert refusal(PID | changes) == f"mine.json: {text}"
 
 
 @pytest.mark.parametrize("key", sorted(set(PID) - {"law"}))
-def test_every_key_is_needed(key: str) -> None:
+def test_every_key_is_required(key: str) -> None:
     plain = {k: v for k, v in PID.items() if k != key}
-    assert refusal(plain) == f"mine.json: object missing required field `{key}`"
+    assert refusal(plain) == f"mine.json: missing key {key}"
 
 
 @pytest.mark.parametrize(("literal", "shown"), [("NaN", "nan"), ("Infinity", "inf"), ("-1e400", "-inf")])
@@ -141,7 +163,7 @@ SOUND: dict[str, Any] = {
 
 
 class TestShapes:
-    def test_matching_ones_are_read(self) -> None:
+    def test_matching_shapes_are_read(self) -> None:
         law = read_controller(json.dumps(with_law(kind="state_space", **SOUND)), "x").law
         assert law == StateSpaceLaw(**SOUND)
 
@@ -160,27 +182,80 @@ class TestShapes:
     @pytest.mark.parametrize(
         ("changes", "text"),
         [
-            ({"A": [[1.0, 0.0]]}, "A: not of shape (1, 1)"),
-            ({"A": [[1.0, 0.0], [0.5]]}, "A: not of shape (2, 2)"),
-            ({"B": [[1.0]]}, "B: not of shape (2, 1)"),
-            ({"B": [[1.0, 2.0], [1.0, 2.0]]}, "B: not of shape (2, 1)"),
-            ({"B": [[1.0], [2.0]], "inputs": "r, y"}, "B: not of shape (2, 2)"),
-            ({"C": [[1.0]]}, "C: not of shape (1, 2)"),
-            ({"C": [[1.0, 1.0], [1.0, 1.0]]}, "C: not of shape (1, 2)"),
-            ({"C": []}, "C: not of shape (1, 2)"),
-            ({"D": []}, "D: not of shape (1, 1)"),
-            ({"D": [[1.0, 2.0]]}, "D: not of shape (1, 1)"),
+            ({"A": [[1.0, 0.0]]}, "A must have the shape (1, 1)"),
+            ({"A": [[1.0, 0.0], [0.5]]}, "A must have the shape (2, 2)"),
+            ({"B": [[1.0]]}, "B must have the shape (2, 1)"),
+            ({"B": [[1.0, 2.0], [1.0, 2.0]]}, "B must have the shape (2, 1)"),
+            ({"B": [[1.0], [2.0]], "inputs": "r, y"}, "B must have the shape (2, 2)"),
+            ({"C": [[1.0]]}, "C must have the shape (1, 2)"),
+            ({"C": [[1.0, 1.0], [1.0, 1.0]]}, "C must have the shape (1, 2)"),
+            ({"C": []}, "C must have the shape (1, 2)"),
+            ({"D": []}, "D must have the shape (1, 1)"),
+            ({"D": [[1.0, 2.0]]}, "D must have the shape (1, 1)"),
         ],
     )
-    def test_others_are_refused_by_matrix(self, changes: dict[str, Any], text: str) -> None:
+    def test_another_shape_is_refused_with_the_matrix(self, changes: dict[str, Any], text: str) -> None:
         law = copy.deepcopy(SOUND) | changes
         assert refusal(with_law(kind="state_space", **law)) == f"mine.json: law.{text}"
+
+
+class TestLimits:
+    """Without limits, a law of high order would take hours, or all memory."""
+
+    ORDER = MAX_STATES
+
+    def state_space(self, n: int) -> dict[str, Any]:
+        A = [[float(i == j) / 2 for j in range(n)] for i in range(n)]
+        return with_law(kind="state_space", A=A, B=[[1.0]] * n, C=[[1.0] * n], D=[[0.0]])
+
+    def test_the_highest_order_is_read(self) -> None:
+        n = self.ORDER
+        law = read_controller(json.dumps(self.state_space(n)), "x").law
+        assert isinstance(law, StateSpaceLaw) and len(law.A) == n
+        law = read_controller(
+            json.dumps(with_law(kind="transfer_function", num=[1.0], den=[1.0] * (n + 1))), "x"
+        ).law
+        assert isinstance(law, TransferFunctionLaw) and len(law.den) == n + 1
+
+    def test_a_higher_order_is_refused(self) -> None:
+        n = self.ORDER + 1
+        assert refusal(self.state_space(n)) == "mine.json: law.A has 51 entries, but must have at most 50"
+        for key in ("num", "den"):
+            law = {"num": [1.0], "den": [1.0]} | {key: [1.0] * (n + 1)}
+            assert refusal(with_law(kind="transfer_function", **law)) == (
+                f"mine.json: law.{key} has 52 entries, but must have at most 51"
+            )
+
+    @pytest.mark.parametrize("n", [3000, 5000])
+    def test_a_list_of_thousands_is_refused_at_once(self, n: int) -> None:
+        assert "law.den has" in refusal(with_law(kind="transfer_function", num=[1.0], den=[1.0] * n))
+
+    @pytest.mark.parametrize(
+        ("law", "text"),
+        [
+            (PID["law"] | {"kp": 1.1e12}, "law.kp is 1100000000000.0, but must be at most 1000000000000.0"),
+            (PID["law"] | {"ki": -1e300}, "law.ki is -1e+300, but must be at least -1000000000000.0"),
+            (
+                {"kind": "transfer_function", "num": [1.0], "den": [1.0, 1e300]},
+                "law.den[1] is 1e+300, but must be at most 1000000000000.0",
+            ),
+        ],
+    )
+    def test_a_coefficient_without_correct_digits_is_refused(self, law: dict[str, Any], text: str) -> None:
+        assert refusal(PID | {"law": law}) == f"mine.json: {text}"
+
+
+def test_a_gain_that_is_given_twice_is_refused() -> None:
+    text = json.dumps(PID).replace('"kp": 11.0', '"kp": 11.0, "kp": -2000000')
+    with pytest.raises(DocumentError) as caught:
+        read_controller(text, "mine.json")
+    assert str(caught.value) == "mine.json: law: key kp is given twice, as 11.0 and as -2000000; remove one"
 
 
 class TestFit:
     CONTROLLER = read_controller(json.dumps(PID), "mine.json")
 
-    def test_the_same_sample_time_and_unit_fit(self) -> None:
+    def test_a_controller_for_this_sample_time_and_unit_fits(self) -> None:
         check_controller_fits(self.CONTROLLER, "mine.json", 0.0112, "m")
         check_controller_fits(self.CONTROLLER, "mine.json", 0.0112 * (1 + 1e-10), "m")
 
@@ -198,7 +273,7 @@ class TestFit:
             check_controller_fits(self.CONTROLLER, "mine.json", 0.0112, "rad")
 
 
-finite = st.floats(allow_nan=False, allow_infinity=False)
+finite = st.floats(-MAX_COEFFICIENT, MAX_COEFFICIENT)
 nonzero = finite.filter(bool)
 polynomials = st.integers(1, 4).flatmap(
     lambda n: st.builds(
@@ -207,11 +282,13 @@ polynomials = st.integers(1, 4).flatmap(
         den=st.tuples(nonzero, st.lists(finite, min_size=n - 1, max_size=n - 1)).map(lambda d: [d[0], *d[1]]),
     )
 )
-pids = st.builds(PidLaw, kp=finite, ki=finite, kd=finite, tau_d=st.floats(1e-9, 1e9), b=finite, c=finite)
+pids = st.builds(
+    PidLaw, kp=finite, ki=finite, kd=finite, tau_d=st.floats(1e-9, MAX_COEFFICIENT), b=finite, c=finite
+)
 
 
 @given(polynomials | pids, st.text(), st.floats(1e-6, 1e3))
-def test_what_design_writes_is_read_back_bit_for_bit(law: Any, name: str, sample_time_s: float) -> None:
+def test_a_written_controller_is_read_back_bit_for_bit(law: Any, name: str, sample_time_s: float) -> None:
     controller = ControllerFile(
         format="hil-controller",
         version=1,

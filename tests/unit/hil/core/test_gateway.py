@@ -413,7 +413,7 @@ class TestOtherRigs:
 
     def test_a_period_other_than_the_shipped_one(self) -> None:
         bench = RigBench(
-            make_rig({"loop.period_s": "0.02", "gateway.heartbeat_periods": "5"}), PidLaw(kp=5.0, ki=1.0)
+            make_rig({"loop.period_s": "0.02", "dac.watchdog_timeout_s": "0.1"}), PidLaw(kp=5.0, ki=1.0)
         ).run()
         bench.periods(100)
         assert bench.gateway.state is LifeCycleState.RUNNING

@@ -1,4 +1,4 @@
-"""Setpoints: every form at its boundaries, at the instants that the core uses, and every refusal."""
+"""Setpoints: each form at its boundaries and at the instants that the core uses, and each error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def below(t: float) -> float:
 
 
 def core_instants(periods: int, period_ns: int = PERIOD_NS) -> list[float]:
-    """t as the core computes it: whole nanoseconds over a billion."""
+    """Return t of successive periods as the core computes it, from whole nanoseconds."""
     return [k * period_ns / 1e9 for k in range(periods)]
 
 
@@ -60,7 +60,7 @@ class TestForms:
             ("sine:-0.1@1/4", 2.0, -0.1),
         ],
     )
-    def test_values(self, text: str, t: float, r: float) -> None:
+    def test_values_of_each_form(self, text: str, t: float, r: float) -> None:
         assert at(text, t) == pytest.approx(r, abs=1e-15)
 
     def test_minimum_jerk_starts_and_ends_at_rest(self) -> None:
@@ -76,11 +76,11 @@ class TestForms:
 
 
 class TestAtTheCoresInstants:
-    """An instant that the text names in decimals is met in the very sample that falls on it."""
+    """A time that the text gives in decimals takes effect in the sample at exactly this time."""
 
     @given(st.integers(0, 100_000))
     @example(100)  # 1.12 s
-    def test_a_step_comes_in_its_own_sample(self, k: int) -> None:
+    def test_a_step_begins_in_its_own_sample(self, k: int) -> None:
         t = f"{k * PERIOD_NS // 100_000}e-4"  # decimals, as a person writes them
         before, on = ((k - 1) * PERIOD_NS / 1e9, k * PERIOD_NS / 1e9)
         r = parse_setpoint(f"step:0.1@{t}").at
@@ -89,7 +89,7 @@ class TestAtTheCoresInstants:
     @pytest.mark.parametrize("period_ns", [11_200_000, 10_000_000, 1_000_000])
     @pytest.mark.parametrize("hold", [1, 5, 7, 10, 25, 30])
     @pytest.mark.parametrize("start", [0, 3, 10, 29])
-    def test_every_level_of_a_ladder_comes_in_its_own_sample(
+    def test_every_level_of_a_ladder_begins_in_its_own_sample(
         self, period_ns: int, hold: int, start: int
     ) -> None:
         tenth_ms = period_ns // 100_000
@@ -106,7 +106,7 @@ class TestAtTheCoresInstants:
 
 class TestRange:
     @pytest.mark.parametrize(
-        ("text", "lowest", "highest"),
+        ("text", "min_r", "max_r"),
         [
             ("step:0.1@1", 0.0, 0.1),
             ("step:-0.1@1", -0.1, 0.0),
@@ -118,9 +118,9 @@ class TestRange:
             ("sine:-0.1@0/1", -0.1, 0.1),
         ],
     )
-    def test_what_a_setpoint_reaches(self, text: str, lowest: float, highest: float) -> None:
+    def test_the_range_of_a_setpoint(self, text: str, min_r: float, max_r: float) -> None:
         setpoint = parse_setpoint(text)
-        assert (setpoint.lowest, setpoint.highest) == (lowest, highest)
+        assert (setpoint.min_r, setpoint.max_r) == (min_r, max_r)
 
     @given(
         st.sampled_from(
@@ -130,9 +130,11 @@ class TestRange:
         st.floats(-1, 1),
         st.floats(0, 10),
     )
-    def test_it_never_leaves_it(self, form: str, first: float, second: float, t: float) -> None:
+    def test_a_setpoint_never_leaves_its_range(
+        self, form: str, first: float, second: float, t: float
+    ) -> None:
         setpoint = parse_setpoint(form.format(f"{first:.6f}", f"{second:.6f}"))
-        assert setpoint.lowest - 1e-12 <= setpoint.at(t) <= setpoint.highest + 1e-12
+        assert setpoint.min_r - 1e-12 <= setpoint.at(t) <= setpoint.max_r + 1e-12
 
     def test_the_limits_themselves_are_allowed(self) -> None:
         check_within(parse_setpoint("ladder:-0.15,0.15@0/1"), "vertical", -0.15, 0.15, "m")
@@ -154,12 +156,12 @@ class TestRange:
             ("ladder:0.1,1e300@0/1", "reaches 1e+300 m"),
         ],
     )
-    def test_beyond_them_is_refused(self, text: str, said: str) -> None:
+    def test_a_setpoint_beyond_the_limits_is_refused(self, text: str, said: str) -> None:
         with pytest.raises(SetpointError) as caught:
             check_within(parse_setpoint(text), "vertical", -0.15, 0.15, "m")
         assert said in str(caught.value)
 
-    def test_an_axis_without_0_refuses_what_begins_there(self) -> None:
+    def test_an_axis_whose_range_lacks_0_refuses_a_setpoint_that_begins_at_0(self) -> None:
         with pytest.raises(SetpointError, match=r"reaches 0 m, beyond 0\.05 m \(rig: axes\.z\.min_y\)"):
             check_within(parse_setpoint("step:0.1@1"), "z", 0.05, 0.15, "m")
 
@@ -167,25 +169,28 @@ class TestRange:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", f"setpoint '' is none of: {FORMS}"),
-        ("step", "is none of"),
-        ("step:0.1", "is none of"),
-        ("step:@1", "is none of"),
+        ("", f"setpoint '' is none of {', '.join(FORMS.values())}"),
+        ("step", "setpoint 'step' is not written as step:SIZE@TIME; an example of a setpoint is step:0.1@1"),
+        ("step:0.1", "setpoint 'step:0.1' is not written as step:SIZE@TIME"),
+        ("step:@1", "is not written as step:SIZE@TIME"),
+        ("minimum-jerk:0.1", "is not written as minimum-jerk:SIZE@TIME/DURATION"),
+        ("stp:0.1@1", "csv:FILE; did you mean step?"),
+        ("minimumjerk:0.1@1/2", "csv:FILE; did you mean minimum-jerk?"),
         ("step:nan@1", "setpoint 'step:nan@1': nan is not finite"),
         ("ladder:0.1,1e400@0/1", "1e400 is not finite"),
         ("ramp:0.1@1/nan", "nan is not finite"),
         ("step:-inf@1", "-inf is not finite"),
         ("jump:0.1@1", "is none of"),
-        ("step:0.1@1 ", "is none of"),
+        ("step:0.1@1 ", "is not written as step:SIZE@TIME"),
         ("step:0,1@1", "setpoint 'step:0,1@1': step takes one size, not 2"),
         ("ramp:0.1,0.2@1/1", "ramp takes one size, not 2"),
         ("sine:0.1,0.2@1/1", "sine takes one size, not 2"),
-        ("step:0.1@1/2", "step takes no /..."),
-        ("ladder:0.1@1", "ladder lacks its /SECONDS"),
+        ("step:0.1@1/2", "step takes no /SECONDS; write step:SIZE@TIME"),
+        ("ladder:0.1@1", "ladder lacks its /SECONDS; write ladder:LEVEL,LEVEL,...@TIME/HOLD"),
         ("ramp:0.1@1", "ramp lacks its /SECONDS"),
         ("minimum-jerk:0.1@1", "minimum-jerk lacks its /SECONDS"),
         ("sine:0.1@1", "sine lacks its /SECONDS"),
-        ("step:0.1@-1", "setpoint 'step:0.1@-1': TIME -1 s must be 0 or more"),
+        ("step:0.1@-1", "setpoint 'step:0.1@-1': TIME is -1 s, but must be 0 s or more"),
         ("step:0.1@1e999", "1e999 is not finite"),
         ("ramp:0.1@1/0", "setpoint 'ramp:0.1@1/0': /0 s must be 0.001 s or more"),
         ("ramp:0.1@1/-2", "/-2 s must be 0.001 s or more"),
@@ -194,7 +199,7 @@ class TestRange:
         ("sine:0.1@1/0.00099", "/0.00099 s must be 0.001 s or more"),
     ],
 )
-def test_what_cannot_be_read_is_refused(text: str, said: str) -> None:
+def test_an_unreadable_setpoint_is_refused(text: str, said: str) -> None:
     with pytest.raises(SetpointError) as caught:
         parse_setpoint(text)
     assert said in str(caught.value)
@@ -210,7 +215,7 @@ numbers = st.floats(allow_nan=False).map(repr) | st.sampled_from(["1e999", "1e-3
     numbers | st.none(),
     st.integers(0, 2**62),
 )
-def test_any_text_is_refused_or_gives_numbers_for_ever(
+def test_any_text_is_refused_or_gives_finite_numbers_at_all_times(
     kind: str, values: list[str], start: str, span: str | None, t_ns: int
 ) -> None:
     text = f"{kind}:{','.join(values)}@{start}" + (f"/{span}" if span else "")
@@ -242,9 +247,9 @@ class TestCsv:
     def test_straight_lines_between_rows(self, t: float, r: float) -> None:
         assert at("csv:r.csv", t, self.TABLE) == pytest.approx(r, abs=1e-12)
 
-    def test_its_range_is_that_of_its_rows(self) -> None:
+    def test_the_range_is_that_of_the_rows(self) -> None:
         setpoint = parse_setpoint("csv:r.csv", self.TABLE)
-        assert (setpoint.lowest, setpoint.highest) == (-0.1, 0.3)
+        assert (setpoint.min_r, setpoint.max_r) == (-0.1, 0.3)
 
     @pytest.mark.parametrize(
         "table",
@@ -256,7 +261,7 @@ class TestCsv:
             ' 1 , 0.1 \n2,"0.2"\n2,-1e-1\n4,.3\n',
         ],
     )
-    def test_other_ways_to_write_the_same(self, table: str) -> None:
+    def test_other_ways_to_write_the_same_table(self, table: str) -> None:
         setpoint, expected = parse_setpoint("csv:r.csv", table), parse_setpoint("csv:r.csv", self.TABLE)
         for t in core_instants(500):
             assert setpoint.at(t) == expected.at(t)
@@ -277,7 +282,7 @@ class TestCsv:
             ('0,"' + "1" * 200_000, "r.csv: not a CSV file: field larger than"),
         ],
     )
-    def test_what_cannot_be_read_is_refused_by_row(self, table: str, said: str) -> None:
+    def test_an_unreadable_row_is_refused_with_its_number(self, table: str, said: str) -> None:
         with pytest.raises(SetpointError) as caught:
             parse_setpoint("csv:r.csv", table)
         assert str(caught.value).startswith(said)
@@ -289,10 +294,10 @@ class TestCsv:
         except SetpointError:
             return
         for t in (0.0, 0.5, 1.0, 9.0, 1e9):
-            assert setpoint.lowest - 1e-9 <= setpoint.at(t) or not math.isfinite(
-                setpoint.highest - setpoint.lowest
+            assert setpoint.min_r - 1e-9 <= setpoint.at(t) or not math.isfinite(
+                setpoint.max_r - setpoint.min_r
             )
 
-    def test_which_file_is_read(self) -> None:
+    def test_the_file_name_of_a_csv_setpoint(self) -> None:
         assert csv_file("csv:a/b.csv") == "a/b.csv"
         assert csv_file("step:0.1@1") is None

@@ -15,7 +15,7 @@ from support.gateway_bench import commands_v, rig_text
 import hil
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
-from hil.core.rig import HIGHEST_WIRE_V, VOLTS_PER_COUNT, Valve, read_rig
+from hil.core.rig import MAX_WIRE_V, VOLTS_PER_COUNT, Valve, read_rig
 from hil.core.valve_commands import ValveCommands
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
@@ -40,7 +40,7 @@ def one_valve(**limits: float) -> ValveCommands:
 def is_allowed(limits: Valve) -> bool:
     """Whether a rig file may have these limits: a frame can carry them, and the centre is a count inside."""
     lowest, highest = limits.min_v + VOLTS_PER_COUNT, limits.max_v - VOLTS_PER_COUNT
-    return lowest <= limits.centre_v <= highest and limits.max_v <= HIGHEST_WIRE_V
+    return lowest <= limits.centre_v <= highest and limits.max_v <= MAX_WIRE_V
 
 
 class TestMagnitude:
@@ -63,7 +63,7 @@ class TestMagnitude:
 
     @pytest.mark.parametrize(
         ("min_v", "max_v", "lowest", "highest"),
-        [(0.0, HIGHEST_WIRE_V, 0, 32767), (1.0001, 8.9999, 3278, 29490), (2.5, 7.5, 8192, 24576)],
+        [(0.0, MAX_WIRE_V, 0, 32767), (1.0001, 8.9999, 3278, 29490), (2.5, 7.5, 8192, 24576)],
     )
     def test_rounding_to_counts_stays_inside_the_limits(
         self, min_v: float, max_v: float, lowest: int, highest: int

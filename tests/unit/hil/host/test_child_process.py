@@ -44,9 +44,9 @@ def test_a_stopped_process_is_killed(stopped: subprocess.Popen[bytes]) -> None:
 
 
 def test_boards_that_hang_do_not_delay_the_end_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(launch, "BOARDS_PATIENCE_S", 0.05)
+    monkeypatch.setattr(launch, "BOARDS_END_TIMEOUT_S", 0.05)
     before = set(children_of(os.getpid()))
-    options = run._parser().parse_args(["--linear"])
+    options = run.parser().parse_args(["--linear"])
     with launch._boards_process("udp:43113", options):
         (boards,) = set(children_of(os.getpid())) - before
         os.kill(boards, signal.SIGSTOP)

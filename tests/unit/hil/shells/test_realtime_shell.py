@@ -273,7 +273,7 @@ def test_a_link_that_stays_broken_leaves_the_valves_to_the_watchdog(bench: Bench
         Severity.ERROR,
         "link",
         "the command that centres the valves was sent 0 times, not 3: the DAC board's watchdog has to "
-        "centre them (rig: dac.watchdog_periods)",
+        "centre them (rig: dac.watchdog_timeout_s)",
     )
     tried_for_ns = bench.clock.now_ns - next(ns for ns, e in recording.log() if e.severity is Severity.FATAL)
     assert 0 <= tried_for_ns - realtime.CENTRING_TIMEOUT_NS < 2 * PERIOD_NS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from support.gateway_bench import rig_text
 
 from hil.core.errors import DocumentError, HilError, SetpointError
 from hil.core.life_cycle import LifeCycleState
+from hil.host.text_file import MAX_DOCUMENT_BYTES
 from hil.shells.run_setup import (
     SHIPPED_CONTROLLERS,
     RunSetup,
@@ -25,7 +27,7 @@ MINE: dict[str, Any] = json.loads((SHIPPED_CONTROLLERS / "ppid.json").read_text(
 
 
 def written(path: Path, changes: Mapping[str, Any] | None = None) -> Path:
-    """A controller file like the shipped PPID."""
+    """Write a controller file like the shipped PPID, with changes."""
     path.write_text(json.dumps(MINE | dict(changes or {})))
     return path
 
@@ -57,7 +59,7 @@ class TestLoading:
             assert setup.setpoints[name].text == axis.setpoint
         assert setup.texts["arm.dbc"].startswith('VERSION "1"')
 
-    def test_it_makes_a_gateway_that_is_offline(self) -> None:
+    def test_a_new_gateway_is_offline(self) -> None:
         setup = load_setup(None, {}, {})
         gateway = setup.gateway(123)
         assert (gateway.state, gateway.next_deadline_ns) == (LifeCycleState.OFFLINE, 123)
@@ -106,7 +108,7 @@ class TestLoading:
         written(tmp_path / "zn", {"name": "not shipped"})
         assert load_setup(None, {"vertical": "zn"}, {}).controllers["vertical"].name == "zn"
 
-    def test_a_byte_order_mark_is_no_part_of_a_text(self, tmp_path: Path) -> None:
+    def test_a_byte_order_mark_is_dropped(self, tmp_path: Path) -> None:
         path = tmp_path / "r.csv"
         path.write_bytes("\ufeff0,0.1\n".encode())
         assert read_text(path) == "0,0.1\n"
@@ -117,30 +119,30 @@ class TestRefusals:
         ("controllers", "setpoints", "option"),
         [({"z": "ppid"}, {}, "--controller"), ({}, {"z": "step:0@1"}, "--setpoint")],
     )
-    def test_an_axis_that_is_not_there(
+    def test_an_unknown_axis(
         self, controllers: Mapping[str, str], setpoints: Mapping[str, str], option: str
     ) -> None:
         assert refusal(None, controllers, setpoints) == (
-            f"{option} z=…: no such axis; the rig has vertical, horizontal, rotation"
+            f"{option} z=…: the axes of the rig are vertical, horizontal, rotation"
         )
 
-    def test_a_controller_that_is_not_there(self, tmp_path: Path) -> None:
+    def test_an_unknown_controller(self, tmp_path: Path) -> None:
         rig = rig_file(tmp_path, {"axes.vertical.controller": '"pppid"'})
         assert refusal(rig, {}, {}) == (
-            f"{rig}: axes.vertical.controller: controller 'pppid': no file {tmp_path / 'pppid'}, "
-            "and none of the shipped " + ", ".join(shipped_controllers())
+            f"{rig}: axes.vertical.controller: controller 'pppid': there is no file {tmp_path / 'pppid'}, "
+            f"and it is none of the shipped {', '.join(shipped_controllers())}; did you mean ppid?"
         )
 
-    def test_a_file_is_named_as_the_user_named_it(
+    def test_a_file_is_named_as_the_user_wrote_it(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.chdir(tmp_path)
         written(tmp_path / "k.json", {"law": {"kind": "pid", "kp": 1.0, "ki": 1.0, "kd": 1.0}})
         assert refusal(rig_file(tmp_path), {"vertical": "k.json"}, {}) == (
-            "vertical: k.json: law.tau_d: 0 s with kd 1.0 is an unfiltered derivative"
+            "vertical: k.json: law.tau_d is 0 s with kd 1.0: the derivative is not filtered; give tau_d > 0"
         )
 
-    def test_another_sample_time_and_unit(self, tmp_path: Path) -> None:
+    def test_a_controller_for_another_sample_time_or_unit(self, tmp_path: Path) -> None:
         slow = written(tmp_path / "slow.json", {"sample_time_s": 0.1})
         assert refusal(None, {"horizontal": str(slow)}, {}).startswith(
             f"horizontal: {slow}: sample_time_s: 0.1 s is not the loop's 0.0112 s"
@@ -149,11 +151,11 @@ class TestRefusals:
             f"rotation: {SHIPPED_CONTROLLERS / 'ppid.json'}: input_unit: m, but the axis is in rad"
         )
 
-    def test_a_law_that_cannot_be_conditioned(self, tmp_path: Path) -> None:
+    def test_a_law_without_a_stable_anti_windup_gain(self, tmp_path: Path) -> None:
         hidden = {"kind": "state_space", "A": [[1.0]], "B": [[1.0]], "C": [[0.0]], "D": [[1.0]]}
         path = written(tmp_path / "hidden.json", {"law": hidden})
         assert refusal(None, {"vertical": str(path)}, {}).startswith(
-            f"vertical: {path}: law: a mode that does not decay is not seen in its output"
+            f"vertical: {path}: law: a mode that does not decay is not seen in the output"
         )
 
     def test_a_setpoint_beyond_the_axis(self) -> None:
@@ -162,12 +164,12 @@ class TestRefusals:
             "(rig: axes.vertical.max_y)"
         )
 
-    def test_where_a_setpoint_or_a_controller_is_named(self, tmp_path: Path) -> None:
+    def test_an_error_says_where_a_setpoint_or_controller_is_written(self, tmp_path: Path) -> None:
         rig = rig_file(tmp_path, {"axes.vertical.setpoint": '"hop:1"'})
         assert refusal(rig, {}, {}).startswith(f"{rig}: axes.vertical.setpoint: setpoint 'hop:1' is none of")
         assert refusal(rig, {}, {"vertical": "hop"}).startswith("--setpoint vertical: setpoint 'hop' is none")
         assert refusal(None, {"rotation": "k"}, {}).startswith(
-            "--controller rotation: controller 'k': no file"
+            "--controller rotation: controller 'k': there is no file"
         )
         origins = {"setpoints.vertical": "scenario s.toml: setpoints.vertical"}
         assert refusal(None, {}, {"vertical": "hop"}, None, origins).startswith(
@@ -184,28 +186,57 @@ class TestRefusals:
 
     def test_a_rig_file_is_named_by_its_path(self, tmp_path: Path) -> None:
         rig = rig_file(tmp_path, {"axes.vertical.valve.max_v": "11.0"})
-        assert refusal(rig, {}, {}) == (f"{rig}: axes.vertical.valve.max_v: 11.0: expected `float` <= 10.0")
+        assert refusal(rig, {}, {}) == (f"{rig}: axes.vertical.valve.max_v is 11.0, but must be at most 10.0")
+
+    @pytest.mark.parametrize("changes", [{"sample_time_s": 1.0}, {"law": {"kind": "lqr"}}])
+    def test_a_controller_that_an_option_replaces_is_not_checked(
+        self, tmp_path: Path, changes: Mapping[str, Any]
+    ) -> None:
+        written(tmp_path / "k.json", changes)
+        rig = rig_file(tmp_path, {"axes.vertical.controller": '"k.json"'})
+        assert refusal(rig, {}, {}).startswith(f"vertical: {tmp_path / 'k.json'}: ")
+        assert load_setup(rig, {"vertical": "zn"}, {}).controllers["vertical"].name == "zn"
+        (tmp_path / "k.json").unlink()
+        assert load_setup(rig, {"vertical": "zn"}, {}).controllers["vertical"].name == "zn"
+
+    def test_a_table_larger_than_a_document_is_read(self, tmp_path: Path) -> None:
+        path = tmp_path / "r.csv"
+        path.write_text("0,0\n" + "1,0.1\n" * (MAX_DOCUMENT_BYTES // 6 + 1))
+        assert path.stat().st_size > MAX_DOCUMENT_BYTES
+        setup = load_setup(None, {}, {"vertical": f"csv:{path}"})
+        assert setup.setpoints["vertical"].at(2.0) == 0.1
+
+    def test_a_controller_that_is_not_a_regular_file(self, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "k.json")
+        said = "is a named pipe (FIFO), not a regular file"
+        assert refusal(None, {"vertical": str(tmp_path / "k.json")}, {}) == f"{tmp_path / 'k.json'}: {said}"
+        assert (
+            refusal(None, {}, {"vertical": f"csv:{tmp_path / 'k.json'}"}) == f"{tmp_path / 'k.json'}: {said}"
+        )
 
     def test_files_that_cannot_be_read(self, tmp_path: Path) -> None:
         missing, binary = tmp_path / "no.toml", tmp_path / "bin.toml"
         binary.write_bytes(b"\xff\xfe\x00")
         assert refusal(missing, {}, {}) == f"{missing}: cannot be read: No such file or directory"
-        assert refusal(binary, {}, {}) == f"{binary}: is not text"
-        assert refusal(tmp_path, {}, {}) == f"{tmp_path}: cannot be read: Is a directory"
-        assert refusal(None, {"vertical": str(tmp_path)}, {}) == f"{tmp_path}: cannot be read: Is a directory"
+        assert refusal(binary, {}, {}) == f"{binary}: is not text in UTF-8: byte 0 cannot be decoded"
+        assert refusal(tmp_path, {}, {}) == f"{tmp_path}: is a directory, not a regular file"
+        assert (
+            refusal(None, {"vertical": str(tmp_path)}, {})
+            == f"{tmp_path}: is a directory, not a regular file"
+        )
         assert refusal(None, {}, {"vertical": f"csv:{missing}"}) == (
             f"{missing}: cannot be read: No such file or directory"
         )
 
 
 class TestTexts:
-    """What a replay does: the documents of a recording give the same gateway."""
+    """The documents of a recording give the same gateway, as a replay needs it."""
 
     @staticmethod
     def rebuilt(setup: RunSetup) -> RunSetup:
         return setup_from_texts(setup.texts, {name: s.text for name, s in setup.setpoints.items()})
 
-    def test_they_rebuild_the_setup(self, tmp_path: Path) -> None:
+    def test_the_texts_of_a_setup_rebuild_it(self, tmp_path: Path) -> None:
         (tmp_path / "r.csv").write_text("time_s,setpoint\n0,0.01\n2,0.05\n")
         setup = load_setup(None, {"vertical": "hls"}, {"vertical": f"csv:{tmp_path / 'r.csv'}"})
         again = self.rebuilt(setup)
@@ -229,7 +260,7 @@ class TestTexts:
         with pytest.raises(SetpointError, match=r"^no setpoint for axis horizontal$"):
             setup_from_texts(texts, {"vertical": "step:0@1"})
 
-    def test_the_fingerprint_knows_every_text_and_setpoint(self) -> None:
+    def test_the_fingerprint_depends_on_every_text_and_setpoint(self) -> None:
         setup = load_setup(None, {}, {})
         setpoints = {name: s.text for name, s in setup.setpoints.items()}
         prints = {setup.fingerprint(), load_setup(None, {}, {}).fingerprint()}

@@ -1,0 +1,62 @@
+"""Argument parser of all commands: short errors, and the nearest option to a mistyped one."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import textwrap
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from hil.core.suggestions import did_you_mean
+
+
+class CommandParser(argparse.ArgumentParser):
+    """An ``argparse.ArgumentParser`` whose errors are one sentence and name the nearest valid option.
+
+    The exit status of an error is 2. The usage is not printed, because it hides the sentence. Paragraphs of
+    description and epilog are separated by empty lines; lines that begin with spaces stay as they are.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(formatter_class=_ParagraphFormatter, **settings)
+        self._given: list[str] = []
+
+    def parse_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> argparse.Namespace:
+        """Parse ``args``. An unknown argument ends the program with exit status 2."""
+        self._given = list(sys.argv[1:] if args is None else args)
+        options, unknown = self.parse_known_args(self._given, namespace)
+        if unknown:
+            self.error(f"unexpected argument {unknown[0]!r}")
+        return options
+
+    def error(self, message: str) -> NoReturn:
+        """Print ``message``, or that an option is unknown, and where to find help; exit with status 2."""
+        message = re.sub(r"invalid int value: (.*)", r"\1 is not a whole number", message)
+        message = self._unknown_option() or message
+        sys.stderr.write(f"{self.prog}: {message}\n`{self.prog} --help` lists the arguments.\n")
+        raise SystemExit(2)
+
+    def _unknown_option(self) -> str | None:
+        """Return what is said of the first unknown option; None if all are known."""
+        known = self._option_string_actions
+        for argument in self._given:
+            option = argument.partition("=")[0]
+            if argument == "--":
+                return None
+            if option.startswith("--") and not any(name.startswith(option) for name in known):
+                return f"unknown option {option}{did_you_mean(option, known)}"
+        return None
+
+
+class _ParagraphFormatter(argparse.HelpFormatter):
+    """Fills each paragraph to the width of the terminal, and keeps indented lines."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        parts = re.split(r"\n(?=\n| )|(?<=\n)\n", text.strip())
+        return "\n".join(
+            part if not part.strip() or part.startswith(" ") else textwrap.fill(part, width) for part in parts
+        )

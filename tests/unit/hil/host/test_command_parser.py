@@ -1,0 +1,64 @@
+"""Errors of all commands: one sentence, and the nearest option to a mistyped one."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.host.command_parser import CommandParser
+
+
+def make_parser() -> CommandParser:
+    parser = CommandParser(
+        prog="hil test", description="First paragraph.", epilog="Forms:\n  a:B\n  c:D\n\nEnd."
+    )
+    parser.add_argument("--setpoint")
+    parser.add_argument("--scenario")
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--bus", required=True)
+    parser.add_argument("file", nargs="?")
+    return parser
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--bus", "b", "--setpiont", "x"], "unknown option --setpiont; did you mean --setpoint?"),
+        (["--bus", "b", "--setpiont=x"], "unknown option --setpiont; did you mean --setpoint?"),
+        (["--bsu", "b"], "unknown option --bsu; did you mean --bus?"),
+        (["--bus", "b", "--quaternion"], "unknown option --quaternion"),
+        (["--bus", "b", "--seed", "1.5"], "argument --seed: '1.5' is not a whole number"),
+        (["--bus", "b", "one", "two"], "unexpected argument 'two'"),
+        (["--bus"], "argument --bus: expected one argument"),
+        ([], "the following arguments are required: --bus"),
+        (["--s", "1", "--bus", "b"], "ambiguous option: --s could match --setpoint, --scenario, --seed"),
+    ],
+)
+def test_an_error_is_one_sentence(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        make_parser().parse_args(arguments)
+    assert caught.value.code == 2
+    assert capsys.readouterr().err == f"hil test: {said}\n`hil test --help` lists the arguments.\n"
+
+
+def test_valid_arguments_are_parsed() -> None:
+    options = make_parser().parse_args(["--bus", "b", "--seed", "3", "f"])
+    assert (options.bus, options.seed, options.file) == ("b", 3, "f")
+    assert make_parser().parse_args(["--bus", "b", "--", "--not-an-option"]).file == "--not-an-option"
+
+
+@pytest.mark.parametrize("columns", ["40", "80"])
+def test_help_fills_paragraphs_and_keeps_indented_lines(
+    columns: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    parser = CommandParser(
+        prog="hil test", epilog=f"{'word ' * 40}\n{'word ' * 40}\n\nForms:\n  a:B\n  c:D\n\nEnd."
+    )
+    lines = parser.format_help().splitlines()
+    assert all(len(line) <= int(columns) for line in lines)
+    assert lines[-6:] == ["", "Forms:", "  a:B", "  c:D", "", "End."]
+    assert sum(line.count("word") for line in lines) == 80
+    filled = [line for line in lines if "word" in line]
+    assert all(len(line) > int(columns) - 10 for line in filled[:-1])
