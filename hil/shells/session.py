@@ -11,7 +11,7 @@ from hil.core.gateway import Gateway
 from hil.core.life_cycle import Trigger
 from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
 from hil.core.wire.codec import RPDO1_DAC
-from hil.recording.recorder import LINK_FAILED, NOT_SENT, Recorder
+from hil.recording.recorder import Recorder
 from hil.shells.run_plan import Ending, RunPlan
 
 
@@ -67,7 +67,7 @@ class Session:
     def operate(self, trigger: Trigger) -> None:
         """Give an operator's trigger to the core."""
         now_ns = self._clock_ns()
-        self._recorder.operated(trigger.value, now_ns)
+        self._recorder.operated(trigger, now_ns)
         self._answer(self.gateway.operate(trigger, now_ns), now_ns)
 
     def failed(self, ending: Ending, reason: str) -> None:
@@ -78,7 +78,7 @@ class Session:
         now_ns = self._clock_ns()
         self.plan.fail(ending)
         self.commands_taken = self._refused_in_row = 0
-        self._recorder.operated(LINK_FAILED + reason, now_ns)
+        self._recorder.link_failed(reason, now_ns)
         self._answer(self.gateway.link_failed(reason), now_ns)
 
     def note(self, event: LogEntry) -> None:
@@ -103,7 +103,7 @@ class Session:
             if is_taken:
                 recorder.frame_sent(frame, sent_ns)
             else:
-                recorder.operated(f"{NOT_SENT}{frame}", sent_ns)
+                recorder.frame_refused(frame, sent_ns)
         for event in events:
             recorder.log_entry(event, now_ns)
             self._audience.log(event)

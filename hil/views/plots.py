@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 from hil.core.errors import RecordingError
 from hil.core.output import LogEntry, Severity
 from hil.core.wire.codec import TPDO1_ADC
-from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
 from hil.recording.recorder import ARM_EVENTS
+from hil.recording.tables import AxisTable, TimingTable
 
 BLUE, GREEN, VERMILION, GREY = "#0072B2", "#009E73", "#D55E00", "#666666"
 """From Okabe and Ito's palette, told apart by colour-blind readers."""
@@ -74,7 +74,7 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
         raise RecordingError(f"{path}: the plot cannot be written: {error.strerror}") from None
 
 
-def _draw_axis(upper: Axes, lower: Axes, rows: Rows, start_ns: int, unit: str) -> None:
+def _draw_axis(upper: Axes, lower: Axes, rows: AxisTable, start_ns: int, unit: str) -> None:
     times_s = (rows["time_ns"] - start_ns) * 1e-9
     upper.step(times_s, rows["setpoint"], where="post", color="black", linewidth=1.0, label="setpoint")
     upper.plot(times_s, rows["position"], color=BLUE, linewidth=1.4, label="position")
@@ -109,7 +109,7 @@ def _label_stays(panel: Axes, stays: list[_Stay]) -> None:
 def _event_marks(recording: Recording, start_ns: int) -> list[tuple[float, str]]:
     """What happened to a simulated arm: seconds of the plot's time, and its name."""
     planned = recording.metadata.get(ARM_EVENTS, {})
-    samples_ns = recording.times_received(TPDO1_ADC)
+    samples_ns = recording.frames("received", TPDO1_ADC).time_ns
     if not planned or len(samples_ns) == 0:
         return []
     first_s = (int(samples_ns[0]) - start_ns) * 1e-9
@@ -139,13 +139,13 @@ def _fault_text(fault: LogEntry) -> str:
     return f"fault: {fault.source}: {fault.text}"
 
 
-def _start_ns(timing: Rows, names: dict[int, str]) -> int:
+def _start_ns(timing: TimingTable, names: dict[int, str]) -> int:
     """When the first period began in which the controllers acted; without one, the first period."""
     running = [value for value, name in names.items() if name == "running"]
     return int(timing["wake_ns"][np.argmax(np.isin(timing["state"], running))])
 
 
-def _stays(timing: Rows, names: dict[int, str], start_ns: int) -> list[_Stay]:
+def _stays(timing: TimingTable, names: dict[int, str], start_ns: int) -> list[_Stay]:
     states, times_s = timing["state"], (timing["wake_ns"] - start_ns) * 1e-9
     entered = [0, *(np.flatnonzero(np.diff(states)) + 1)]
     left = [*entered[1:], len(states) - 1]

@@ -7,19 +7,20 @@ Dynamic Systems, sec. 3.4. No plotting here.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.core.wire.codec import SYNC
-from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
+from hil.recording.tables import AxisTable, TimingTable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.text import Text
 
+RowsT = TypeVar("RowsT", AxisTable, TimingTable)
 ASKED = "duration asked for, s"
 """In the metadata of a recording's end."""
 SETTLING_BAND = 0.02
@@ -142,7 +143,7 @@ def summarise(recording: Recording) -> Summary:
     return Summary(
         axes={name: summary for name, summary in axes.items() if summary is not None},
         lateness=_quantiles(timing["wake_ns"] - timing["deadline_ns"]),
-        response=_quantiles(_response_ns(fresh, recording.times_sent(SYNC))),
+        response=_quantiles(_response_ns(fresh, recording.frames("sent", SYNC).time_ns)),
         periods=len(timing),
         missed_periods=skipped,
         periods_without_sample=len(timing) - len(fresh),
@@ -162,20 +163,20 @@ def summarise(recording: Recording) -> Summary:
     )
 
 
-def _response_ns(fresh: Rows, sync_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _response_ns(fresh: TimingTable, sync_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """From the last SYNC before each sample to the period's command."""
     last = np.searchsorted(sync_ns, fresh["receive_ns"], side="right") - 1
     return np.asarray((fresh["sent_ns"] - sync_ns[last])[last >= 0], np.int64)
 
 
-def running_rows(rows: Rows, recording: Recording) -> Rows:
+def running_rows(rows: RowsT, recording: Recording) -> RowsT:
     """The periods in which the controller acted, and the one before."""
     states = [value for value, name in recording.state_names.items() if name == "running"]
     running = np.flatnonzero(np.isin(rows["state"], states))
     return rows[max(running[0] - 1, 0) : running[-1] + 1] if len(running) else rows[:0]
 
 
-def _axis_summary(rows: Rows, unit: str, recording: Recording) -> StepResponse | Tracking | None:
+def _axis_summary(rows: AxisTable, unit: str, recording: Recording) -> StepResponse | Tracking | None:
     rows = running_rows(rows, recording)
     if len(rows) < 2:
         return None

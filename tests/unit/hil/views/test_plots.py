@@ -15,7 +15,7 @@ from matplotlib.image import imread
 from support.recorded_runs import AXES, RUN_HEADER, START_NS, in_memory, record_periods, record_run
 
 from hil.core.errors import RecordingError
-from hil.core.life_cycle import LifeCycleState
+from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import LogEntry, Severity
 from hil.core.wire.codec import TPDO1_ADC
 from hil.recording.reader import Recording
@@ -101,7 +101,7 @@ def test_what_was_planned_for_the_arm_is_marked_where_it_happens(tmp_path: Path)
     start_ns = int(recording.timing()["wake_ns"][3])
     assert _event_marks(recording, start_ns) == [
         (
-            pytest.approx(1.0 + (recording.times_received(TPDO1_ADC)[0] - start_ns) / 1e9),
+            pytest.approx(1.0 + (recording.frames("received", TPDO1_ADC).time_ns[0] - start_ns) / 1e9),
             "payload:3, temperature:0",
         ),
         (pytest.approx(98.967, abs=0.002), "payload:0"),
@@ -121,7 +121,7 @@ def test_without_a_period_there_is_nothing_to_draw(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
-    recorder.operated("arm", START_NS)
+    recorder.operated(Trigger.ARM, START_NS)
     recorder.close({})
     with pytest.raises(RecordingError, match="holds no period"):
         plot_run(Recording(path), tmp_path / "run.png")

@@ -22,7 +22,7 @@ from support.recorded_runs import (
     step,
 )
 
-from hil.core.life_cycle import LifeCycleState
+from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
 from hil.views.summary import Quantiles, StepResponse, Summary, Tracking, summarise
@@ -171,7 +171,7 @@ def test_a_run_without_a_period_is_summed_up(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
-    recorder.operated("arm", 1)
+    recorder.operated(Trigger.ARM, 1)
     recorder.close({})
     summary = summarise(Recording(path))
     assert (summary.periods, summary.missed_periods, summary.lateness.worst_us) == (0, 0, 0.0)
