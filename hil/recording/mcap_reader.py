@@ -35,7 +35,7 @@ from hil.recording.schemas import layout_of
 Rows: TypeAlias = npt.NDArray[np.void]
 """Structured array with one row for each message."""
 Offsets: TypeAlias = dict[int, npt.NDArray[np.int64]]
-"""Offsets of the message records in an uncompressed chunk, by channel id."""
+"""Offsets of the message records in an uncompressed chunk, in ascending order, by channel id."""
 
 MESSAGE_FIELDS = {"length": ("<u8", 1), "log_time": ("<u8", 15), "publish_time": ("<u8", 23)}
 """Type and offset of the fields before each payload that :meth:`McapContents.rows` adds to the columns."""
@@ -53,7 +53,12 @@ class _Chunk:
     offset: int
     """Offset of the record in the file."""
     record: Chunk
-    offsets: Offsets = field(default_factory=dict)
+    index: dict[int, npt.NDArray[np.int64]] = field(default_factory=dict)
+    """Log time and offset of each message, one after the other, by channel id."""
+
+    def offsets(self, channel: int) -> npt.NDArray[np.int64]:
+        """Return the offsets of the channel's messages in the uncompressed chunk, in ascending order."""
+        return np.sort(self.index[channel][1::2])
 
 
 class _Section(NamedTuple):
@@ -78,6 +83,7 @@ class McapContents:
         """Channels by topic."""
         self._schemas: dict[int, Schema] = {}
         self._chunks: list[_Chunk] = []
+        self._decompressor = zstandard.ZstdDecompressor()
         try:
             content = path.read_bytes()
         except OSError as error:
@@ -101,7 +107,7 @@ class McapContents:
         self._is_intact = not damaged and any(section.start == 0 for section in sections)
         """True if a CRC of the file covers all chunks and indexes, and matches."""
         for chunk in self._chunks:
-            if not (self._is_intact and chunk.offsets):
+            if not (self._is_intact and chunk.index and self._describes(chunk)):
                 self._walk_through(chunk)
         for start, end, _ in damaged:
             raise RecordingError(f"{path}: damaged: the CRC of bytes {start} to {end} does not match them")
@@ -110,7 +116,7 @@ class McapContents:
     def counts(self) -> dict[str, int]:
         """Number of messages, by topic."""
         return {
-            topic: sum(len(chunk.offsets.get(channel.id, ())) for chunk in self._chunks)
+            topic: sum(len(chunk.index.get(channel.id, ())) // 2 for chunk in self._chunks)
             for topic, channel in self.channels.items()
         }
 
@@ -127,33 +133,38 @@ class McapContents:
     def chunks(self) -> Iterator[tuple[bytes, Offsets]]:
         """Yield each chunk, uncompressed, and the offsets of its messages."""
         for chunk in self._chunks:
-            yield self._uncompressed(chunk), chunk.offsets
+            yield self._uncompressed(chunk), {channel: chunk.offsets(channel) for channel in chunk.index}
 
     def rows(self, topic: str, frame_id: str) -> Rows:
         """Return all messages of ``topic``, whose only string is ``frame_id``, in file order.
 
         The columns are the definition's fields by their dotted names, and :data:`MESSAGE_FIELDS`.
         """
-        blocks = list(self.row_blocks(topic, frame_id))
-        return np.concatenate(blocks) if blocks else np.empty(0, self._row_type(topic, frame_id))
-
-    def row_blocks(self, topic: str, frame_id: str) -> Iterator[Rows]:
-        """Yield the rows of :meth:`rows` chunk by chunk; no block is empty."""
-        channel = self.channel(topic).id
         row_type = self._row_type(topic, frame_id)
-        size = row_type.itemsize
+        blocks = [np.empty((0, row_type.itemsize), np.uint8), *self._blocks(topic, row_type)]
+        rows: Rows = np.concatenate(blocks).view(row_type)[:, 0]
+        if np.any(rows["length"] != row_type.itemsize - RECORD_HEADER.size):
+            raise self._wrong_length(topic)
+        return rows
+
+    def first_row(self, topic: str, frame_id: str) -> Rows:
+        """Return the first row of :meth:`rows`; an empty array if there is none."""
+        row_type = self._row_type(topic, frame_id)
+        block = next(self._blocks(topic, row_type), np.empty((0, row_type.itemsize), np.uint8))
+        rows: Rows = block[:1].view(row_type)[:, 0]
+        return rows
+
+    def _blocks(self, topic: str, row_type: np.dtype[np.void]) -> Iterator[npt.NDArray[np.uint8]]:
+        """Yield the message records of ``topic`` in each chunk that has any, shape (messages, bytes)."""
+        channel, size = self.channel(topic).id, row_type.itemsize
         for chunk in self._chunks:
-            starts = chunk.offsets.get(channel)
-            if starts is None:
+            if channel not in chunk.index:
                 continue
+            starts = chunk.offsets(channel)
             body = np.frombuffer(self._uncompressed(chunk), np.uint8)
             if starts[0] < 0 or starts[-1] + size > len(body):
                 raise self._wrong_length(topic)
-            windows = np.lib.stride_tricks.sliding_window_view(body, size)
-            rows: Rows = windows[starts].view(row_type)[:, 0]
-            if np.any(rows["length"] != size - RECORD_HEADER.size):
-                raise self._wrong_length(topic)
-            yield rows
+            yield np.lib.stride_tricks.as_strided(body, (len(body) - size + 1, size), (1, 1))[starts]
 
     def _row_type(self, topic: str, frame_id: str) -> np.dtype[np.void]:
         layout = layout_of(self.definition(topic), frame_id)
@@ -171,6 +182,10 @@ class McapContents:
 
     def _take(self, opcode: int, offset: int, body: bytes) -> None:
         match opcode:
+            case Opcode.MESSAGE_INDEX if self._chunks:
+                channel, size = _INDEX_HEADER.unpack_from(body)
+                if size:
+                    self._chunks[-1].index[channel] = np.frombuffer(body, "<i8", offset=_INDEX_HEADER.size)
             case Opcode.ATTACHMENT:
                 attachment = Attachment.read(_stream(body))
                 crc = int.from_bytes(body[-_CRC_BYTES:], "little")
@@ -187,11 +202,6 @@ class McapContents:
                 self._describe(opcode, body)
             case Opcode.CHUNK:
                 self._chunks.append(_Chunk(offset, Chunk.read(_stream(body))))
-            case Opcode.MESSAGE_INDEX if self._chunks:
-                channel, _ = _INDEX_HEADER.unpack_from(body)
-                entries = np.frombuffer(body, "<i8", offset=_INDEX_HEADER.size)
-                if len(entries):
-                    self._chunks[-1].offsets[channel] = np.sort(entries[1::2])
 
     def _is_complete(self, content: bytes, places: dict[int, tuple[int, int]], end: int) -> bool:
         """Return False for a file that was cut off. Raises RecordingError for one that is damaged at its end.
@@ -215,14 +225,18 @@ class McapContents:
             channel = Channel.read(_stream(body))
             self.channels[channel.topic] = channel
 
+    def _describes(self, chunk: _Chunk) -> bool:
+        """Return True if the channels of the chunk's messages are known, with their schemas."""
+        known = {channel.id for channel in self.channels.values() if channel.schema_id in self._schemas}
+        return chunk.index.keys() <= known
+
     def _walk_through(self, chunk: _Chunk) -> None:
         """Find the chunk's messages, and the channels that it describes, without an index."""
         body = self._uncompressed(chunk)
         try:
             index = index_messages(body)
-            chunk.offsets = {channel: np.array(pairs[1::2], np.int64) for channel, pairs in index.items()}
-            known = {channel.id for channel in self.channels.values()}
-            if not chunk.offsets.keys() <= known:
+            chunk.index = {channel: np.array(entries, np.int64) for channel, entries in index.items()}
+            if not self._describes(chunk):
                 for opcode, _, description in _records(body, 0):
                     if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                         self._describe(opcode, description)
@@ -238,7 +252,7 @@ class McapContents:
             )
         try:
             body: bytes = (
-                zstandard.decompress(record.data, record.uncompressed_size)
+                self._decompressor.decompress(record.data, record.uncompressed_size)
                 if record.compression
                 else record.data
             )

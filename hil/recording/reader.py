@@ -117,8 +117,8 @@ class Recording:
     @cached_property
     def start_ns(self) -> int:
         """Instant from which ``time_s`` counts: ``wake_ns`` of the first recorded period, 0 without one."""
-        periods = next(self._contents.row_blocks(CYCLE_TOPIC, ""), None)
-        return 0 if periods is None else int(periods["wake_ns"][0])
+        first = self._contents.first_row(CYCLE_TOPIC, "")
+        return int(first["wake_ns"][0]) if len(first) else 0
 
     def seconds(self, time_ns: int) -> float:
         """Convert an instant to seconds from the first recorded period, the scale of every ``time_s``."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.records import ChunkIndex
-from mcap.writer import Writer
+from mcap.records import ChunkIndex, DataEnd, MessageIndex
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC, Writer
 from support.recorded_runs import (
     EPOCH_OFFSET_NS,
     PERIOD_NS,
@@ -37,6 +40,7 @@ from hil.recording.entries import (
     Logged,
     Operated,
 )
+from hil.recording.mcap_reader import McapContents
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
 
@@ -353,6 +357,72 @@ def test_a_damaged_chunk_is_named(path: Path, tmp_path: Path) -> None:
             damaged.write_bytes(content[:place] + bytes([content[place] ^ 0x10]) + content[place + 1 :])
             with pytest.raises(RecordingError, match=rf"chunk at byte {chunk.chunk_start_offset} is damaged"):
                 Recording(damaged)
+
+
+def test_an_intact_file_is_opened_without_decompressing_its_chunks(
+    path: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decompressed: list[int] = []
+    uncompressed = McapContents._uncompressed
+
+    def note(contents: McapContents, chunk: Any) -> bytes:
+        decompressed.append(chunk.offset)
+        return uncompressed(contents, chunk)
+
+    monkeypatch.setattr(McapContents, "_uncompressed", note)
+    opened = Recording(path)
+    assert opened.counts == recording.counts
+    assert decompressed == []
+    opened.axis("vertical")
+    assert sorted(set(decompressed)) == [chunk.chunk_start_offset for chunk in _chunks(path)]
+
+
+def test_a_message_index_that_no_crc_covers_is_not_used(
+    path: Path, recording: Recording, tmp_path: Path
+) -> None:
+    content = bytearray(path.read_bytes())
+    with path.open("rb") as stream:
+        kinds = [type(record) for record in StreamReader(stream, emit_chunks=True).records]
+    assert kinds.count(MessageIndex) > 20
+    place = len(MCAP0_MAGIC)
+    for kind in kinds[:-1]:
+        (length,) = struct.unpack_from("<Q", content, place + 1)
+        if kind is MessageIndex:
+            content[place + 15 : place + 9 + length] = bytes(length - 6)
+        if kind is DataEnd:
+            content[place + 9 : place + 13] = bytes(4)
+        place += 9 + length
+    changed = tmp_path / "changed.mcap"
+    changed.write_bytes(content)
+    assert list(Recording(changed).entries()) == list(recording.entries())
+    np.testing.assert_array_equal(
+        Recording(changed).axis("vertical").position, recording.axis("vertical").position
+    )
+
+
+@pytest.mark.parametrize("options", [{"repeat_channels": False}, {"repeat_schemas": False}], ids=str)
+def test_channels_that_are_described_in_a_chunk_alone_are_found(
+    path: Path, recording: Recording, tmp_path: Path, options: dict[str, bool]
+) -> None:
+    copy = tmp_path / "copy.mcap"
+    with path.open("rb") as original, copy.open("wb") as stream:
+        reader, writer = make_reader(original), Writer(stream, enable_data_crcs=True, **options)  # type: ignore[arg-type]
+        writer.start("ros2")
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        channels: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            if channel.id not in channels:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, "cdr", schema_id, channel.metadata
+                )
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        writer.finish()
+    assert list(Recording(copy).entries()) == list(recording.entries())
 
 
 def _chunks(path: Path) -> list[ChunkIndex]:
