@@ -12,7 +12,7 @@ from rich.text import Text
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.parameters import AXES
-from hil.views.onlooker import Onlooker, messages
+from hil.views.display_process import DisplayProcess, received_messages
 
 UPDATE_INTERVAL_NS = 100_000_000
 MIN_COLUMNS, MAX_COLUMNS = 72, 160
@@ -26,7 +26,7 @@ class ArmWatch:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._onlooker = Onlooker("firmware_sim.watch")
+        self._display = DisplayProcess("firmware_sim.watch")
         self._next_ns = 0
         self._ends = [
             (axis.potentiometer.y_at_0v, axis.potentiometer.y_at_10v) for axis in arm.parameters.ordered
@@ -38,7 +38,7 @@ class ArmWatch:
             return
         self._next_ns = now_ns + UPDATE_INTERVAL_NS
         view = self._arm.view()
-        self._onlooker.tell(
+        self._display.send(
             {
                 "time_s": view.time_ns * 1e-9,
                 "supply_pa": view.supply_pa,
@@ -62,7 +62,7 @@ def main(file_descriptor: int) -> None:
     """Draw each state that arrives on the socket ``file_descriptor``, until the sender closes it."""
     console = Console(stderr=True)
     with Live(console=console, auto_refresh=False) as live:
-        for view in messages(file_descriptor):
+        for view in received_messages(file_descriptor):
             live.update(picture(view, console.width), refresh=True)
 
 

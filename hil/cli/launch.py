@@ -54,7 +54,7 @@ def run_realtime(
     from hil.host.realtime_rights import real_time_rights
     from hil.links import open_link
     from hil.shells.realtime import run
-    from hil.views.display import Display
+    from hil.views.live_display import LiveDisplay
 
     spec = f"udp:{_free_udp_port()}" if bus == SIMULATED else bus
     axes = [(name, axis.unit) for name, axis in setup.rig.axes.items()]
@@ -66,7 +66,7 @@ def run_realtime(
         planned = planned_events(options) if bus == SIMULATED else {}
         header = _header(setup, epoch_offset_ns, spec, link.stamp_origin, _host_versions(), planned)
         recorder = Recorder(path, header, lossless=False)
-        display = Display(axes)
+        display = LiveDisplay(axes)
         stack.callback(display.close)
         with real_time_rights() as rights:
             most_refused = setup.rig.adc.stale_after_periods

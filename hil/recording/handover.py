@@ -1,7 +1,8 @@
-"""What crosses from the loop to the recorder process: blocks of a kind, a length and that many bytes.
+"""Format of the data that the loop hands over to the recorder process: a sequence of blocks.
 
-A header block (:class:`RunHeader`), batches of message records exactly as they stand in an MCAP chunk, and an
-end block (metadata); the first and the last encoded by msgspec. Nothing here knows a pipe or a file.
+A block is a kind, a length and that many bytes. The first block is the header (:class:`RunHeader`), the last
+one is the end (metadata); msgspec encodes both. Between them are batches of message records, in the bytes
+that they have in an MCAP chunk. This module uses no pipe and no file.
 """
 
 from __future__ import annotations
@@ -13,50 +14,53 @@ import msgspec
 BLOCK_HEADER = struct.Struct("<cI")
 HEADER, BATCH, END = b"H", b"B", b"E"
 LOSSLESS, REAL_TIME = "lossless", "real-time"
-"""What the recorder process is started as: chunks end by recorded time alone, or by the clock too."""
+"""Argument of the recorder process. In real time, a chunk also ends when no block has come for a while."""
 
 MESSAGE_OPCODE = 5
 MESSAGE_HEADER = struct.Struct("<11sIQQ")
-"""A message record up to its data: :func:`message_prefix`; sequence; log time; publish time."""
+"""Message record up to its data: :func:`message_prefix`, sequence, log time, publish time."""
 SEQUENCE_MASK = 0xFFFF_FFFF
-"""Sequences count all messages of a run from 1; after this, 71 days at 700 a second, follows 0."""
+"""Largest sequence number; 0 follows it. Sequence numbers count all messages of a run from 1.
+
+At 700 messages a second, the numbers last for 71 days.
+"""
 RECORD_HEADER = struct.Struct("<BQ")
-"""Opcode and length, which stand before every record."""
-_INDEXED = struct.Struct("<BQHIQ")
-"""A message record up to its log time."""
+"""Header of every MCAP record: opcode and length of the rest."""
+_UP_TO_LOG_TIME = struct.Struct("<BQHIQ")
+"""Message record up to its log time: opcode, length, channel, sequence, log time."""
 
 
 class RunHeader(msgspec.Struct, frozen=True):
-    """What is known when a run starts; all of it is in the file before the first message."""
+    """Data that is known when a run starts. All of it is in the file before the first message."""
 
     epoch_offset_ns: int
-    """Epoch time minus monotonic time, constant for the file. Log times are epoch nanoseconds."""
+    """Epoch time minus monotonic time in ns, constant for the file. Log times are epoch time in ns."""
     bus: str
-    """Name of the bus; ``frame_id`` of every frame."""
+    """Name of the bus. It is the ``frame_id`` of every frame."""
     stamp_origin: str
-    """Where receive stamps come from: hardware, kernel, user, or simulated time."""
+    """Origin of the receive stamps: hardware, kernel, user, or simulated."""
     axes: tuple[tuple[str, str], ...]
-    """(name, unit) in the rig file's order."""
+    """Name and unit of each axis, in the rig file's order."""
     attachments: dict[str, tuple[str, bytes]] = {}
-    """Name to (media type, content): rig file, DBC, controller files, setpoint files."""
+    """Media type and content of each document, by its name: rig file, DBC, controller and setpoint files."""
     metadata: dict[str, dict[str, str]] = {}
-    """Name to entries: versions, granted rights, setpoints…"""
+    """Entries of each metadata record, by its name: versions, setpoints, hashes of the documents."""
 
 
 def message_prefix(channel: int, payload_size: int) -> bytes:
-    """Opcode, length and channel id of a message record."""
+    """Return the first bytes of a message record: opcode, length and channel id."""
     length = MESSAGE_HEADER.size - RECORD_HEADER.size + payload_size
     return struct.pack("<BQH", MESSAGE_OPCODE, length, channel)
 
 
 def index_messages(records: bytes | bytearray | memoryview, start: int = 0) -> dict[int, list[int]]:
-    """Where the messages are among ``records``, from byte ``start`` on.
+    """Find the messages among ``records``, from byte ``start`` on.
 
-    Returns channel id to [log time, offset, log time, offset…] in file order, as MCAP indexes messages.
+    Returns, for each channel id, [log time, offset, log time, offset…] in file order, as in an MCAP index.
     """
     index: dict[int, list[int]] = {}
     end = len(records)
-    unpack_from = _INDEXED.unpack_from
+    unpack_from = _UP_TO_LOG_TIME.unpack_from
     while start < end:
         opcode, length, channel, _, log_time = unpack_from(records, start)
         if opcode == MESSAGE_OPCODE:
@@ -69,6 +73,6 @@ def index_messages(records: bytes | bytearray | memoryview, start: int = 0) -> d
 
 
 def log_time_of_first(records: bytes) -> int:
-    """Log time of the first message."""
-    log_time: int = _INDEXED.unpack_from(records)[-1]
+    """Return the log time of the first message, in epoch ns."""
+    log_time: int = _UP_TO_LOG_TIME.unpack_from(records)[-1]
     return log_time

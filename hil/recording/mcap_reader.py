@@ -1,8 +1,12 @@
-"""An MCAP file as a whole or as a crash left it: attachments, metadata, channels, and messages as numpy rows.
+"""Reads an MCAP file, complete or cut off: attachments, metadata, channels, and messages as numpy rows.
 
-Knows nothing of gateways. mcap's classes parse every record but messages: those of a channel are gathered
-from a chunk at once, as their layout is fixed. mcap's own readers refuse a file without a footer. A file with
-one is held to its CRCs: of each chunk and attachment, and of all that stands before and after the data's end.
+This module knows MCAP, not the gateway. The classes of ``mcap`` parse all records except messages: those of
+one channel have a fixed layout, so numpy copies them out of a chunk at once. The readers of ``mcap`` are not
+used, since they refuse a file without a footer.
+
+A complete file has CRCs of its data and of its summary. When they match, the message indexes in the file say
+where the messages are, and a chunk is decompressed when it is read. In every other file, each chunk is
+decompressed when the file is opened: its own CRC is checked, and its records are walked through.
 """
 
 from __future__ import annotations
@@ -10,9 +14,10 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -27,40 +32,58 @@ from hil.core.errors import RecordingError
 from hil.recording.handover import MESSAGE_HEADER, RECORD_HEADER, index_messages
 from hil.recording.schemas import layout_of
 
-Rows = npt.NDArray[np.void]
-"""A structured array, one row a message."""
-
-_UNREADABLE = (McapError, struct.error, ValueError, OverflowError, MemoryError)
-"""What mcap's classes raise on bytes that are no such record."""
-_FOOTER_UP_TO_CRC = RECORD_HEADER.size + 16
-_CRC_BYTES = 4
+Rows: TypeAlias = npt.NDArray[np.void]
+"""Structured array with one row for each message."""
+Offsets: TypeAlias = dict[int, npt.NDArray[np.int64]]
+"""Offsets of the message records in an uncompressed chunk, in ascending order, by channel id."""
 
 MESSAGE_FIELDS = {"length": ("<u8", 1), "log_time": ("<u8", 15), "publish_time": ("<u8", 23)}
-"""Fields of the record around each payload, with their offsets, that :meth:`McapContents.rows` adds."""
+"""Type and offset of the fields before each payload that :meth:`McapContents.rows` adds to the columns."""
+
+_PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError)
+"""Exceptions of the classes of ``mcap`` when the bytes are not such a record."""
+_FOOTER_UP_TO_CRC = RECORD_HEADER.size + 16
+_CRC_BYTES = 4
+_INDEX_HEADER = struct.Struct("<HI")
+"""Message index up to its entries: channel id, length of the entries (log time and offset, 8 bytes each)."""
 
 
-Offsets = dict[int, npt.NDArray[np.int64]]
-"""Channel id to the offsets of its message records in an uncompressed chunk."""
-
-
-class _Chunk(NamedTuple):
+@dataclass
+class _Chunk:
     offset: int
-    """In the file."""
+    """Offset of the record in the file."""
     record: Chunk
-    offsets: Offsets
+    index: dict[int, npt.NDArray[np.int64]] = field(default_factory=dict)
+    """Log time and offset of each message, one after the other, by channel id."""
+
+    def offsets(self, channel: int) -> npt.NDArray[np.int64]:
+        """Return the offsets of the channel's messages in the uncompressed chunk, in ascending order."""
+        return np.sort(self.index[channel][1::2])
+
+
+class _Section(NamedTuple):
+    """A part of the file that a CRC covers."""
+
+    start: int
+    end: int
+    crc: int
+
+    def is_damaged(self, content: bytes) -> bool:
+        return zlib.crc32(memoryview(content)[self.start : self.end]) != self.crc
 
 
 class McapContents:
-    """What is in the file at ``path``. Raises RecordingError when it is no MCAP, or damaged."""
+    """The contents of an MCAP file. Raises RecordingError when it is no MCAP file, or is damaged."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.attachments: dict[str, bytes] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.channels: dict[str, Channel] = {}
-        """By topic."""
+        """Channels by topic."""
         self._schemas: dict[int, Schema] = {}
         self._chunks: list[_Chunk] = []
+        self._decompressor = zstandard.ZstdDecompressor()
         try:
             content = path.read_bytes()
         except OSError as error:
@@ -74,41 +97,76 @@ class McapContents:
             places[opcode] = offset, end
             try:
                 self._take(opcode, offset, body)
-            except _UNREADABLE:
+            except _PARSE_ERRORS:
                 kind = Opcode(opcode).name.lower().replace("_", " ")
                 raise RecordingError(f"{path}: the {kind} at byte {offset} is damaged") from None
-        self.is_complete = self._is_ended(content, places, end)
-        """Whether the file has a footer; if not, it was cut off, and whole chunks up to there are read."""
+        self.is_complete = self._is_complete(content, places, end)
+        """True if the file has a footer. If not, it was cut off, and its complete chunks can be read."""
+        sections = _sections(content, places) if self.is_complete else []
+        damaged = [section for section in sections if section.is_damaged(content)]
+        self._is_intact = not damaged and any(section.start == 0 for section in sections)
+        """True if a CRC of the file covers all chunks and indexes, and matches."""
+        for chunk in self._chunks:
+            if not (self._is_intact and chunk.index and self._describes(chunk)):
+                self._walk_through(chunk)
+        for start, end, _ in damaged:
+            raise RecordingError(f"{path}: damaged: the CRC of bytes {start} to {end} does not match them")
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages by topic."""
+        """Number of messages, by topic."""
         return {
-            topic: sum(len(chunk.offsets.get(channel.id, ())) for chunk in self._chunks)
+            topic: sum(len(chunk.index.get(channel.id, ())) // 2 for chunk in self._chunks)
             for topic, channel in self.channels.items()
         }
 
     def channel(self, topic: str) -> Channel:
-        """The channel of ``topic``. Raises RecordingError when there is none."""
+        """Return the channel of ``topic``. Raises RecordingError when there is none."""
         if topic not in self.channels:
             raise RecordingError(f"{self.path}: has no channel {topic}; it has {', '.join(self.channels)}")
         return self.channels[topic]
 
     def definition(self, topic: str) -> str:
-        """The ``ros2msg`` definition of the messages of ``topic``."""
+        """Return the ``ros2msg`` definition of the messages of ``topic``."""
         return self._schemas[self.channel(topic).schema_id].data.decode()
 
     def chunks(self) -> Iterator[tuple[bytes, Offsets]]:
-        """Each chunk, uncompressed, and where its messages are."""
+        """Yield each chunk, uncompressed, and the offsets of its messages."""
         for chunk in self._chunks:
-            yield self._uncompressed(chunk.offset, chunk.record), chunk.offsets
+            yield self._uncompressed(chunk), {channel: chunk.offsets(channel) for channel in chunk.index}
 
     def rows(self, topic: str, frame_id: str) -> Rows:
-        """All messages of ``topic``, whose only string is ``frame_id``, in file order.
+        """Return all messages of ``topic``, whose only string is ``frame_id``, in file order.
 
-        Columns: the definition's fields by dotted name, and :data:`MESSAGE_FIELDS`.
+        The columns are the definition's fields by their dotted names, and :data:`MESSAGE_FIELDS`.
         """
-        channel = self.channel(topic).id
+        row_type = self._row_type(topic, frame_id)
+        blocks = [np.empty((0, row_type.itemsize), np.uint8), *self._blocks(topic, row_type)]
+        rows: Rows = np.concatenate(blocks).view(row_type)[:, 0]
+        if np.any(rows["length"] != row_type.itemsize - RECORD_HEADER.size):
+            raise self._wrong_length(topic)
+        return rows
+
+    def first_row(self, topic: str, frame_id: str) -> Rows:
+        """Return the first row of :meth:`rows`; an empty array if there is none."""
+        row_type = self._row_type(topic, frame_id)
+        block = next(self._blocks(topic, row_type), np.empty((0, row_type.itemsize), np.uint8))
+        rows: Rows = block[:1].view(row_type)[:, 0]
+        return rows
+
+    def _blocks(self, topic: str, row_type: np.dtype[np.void]) -> Iterator[npt.NDArray[np.uint8]]:
+        """Yield the message records of ``topic`` in each chunk that has any, shape (messages, bytes)."""
+        channel, size = self.channel(topic).id, row_type.itemsize
+        for chunk in self._chunks:
+            if channel not in chunk.index:
+                continue
+            starts = chunk.offsets(channel)
+            body = np.frombuffer(self._uncompressed(chunk), np.uint8)
+            if starts[0] < 0 or starts[-1] + size > len(body):
+                raise self._wrong_length(topic)
+            yield np.lib.stride_tricks.as_strided(body, (len(body) - size + 1, size), (1, 1))[starts]
+
+    def _row_type(self, topic: str, frame_id: str) -> np.dtype[np.void]:
         layout = layout_of(self.definition(topic), frame_id)
         fields = [
             (field.name, _numpy_code(field.code), field.offset + MESSAGE_HEADER.size)
@@ -117,32 +175,23 @@ class McapContents:
         fields += [(name, code, offset) for name, (code, offset) in MESSAGE_FIELDS.items()]
         names, codes, places = zip(*fields, strict=True)
         size = MESSAGE_HEADER.size + layout.size
-        kind = np.dtype({"names": names, "formats": codes, "offsets": places, "itemsize": size})
-        parts = [np.empty(0, kind)]
-        for body, offsets in self.chunks():
-            starts = offsets.get(channel)
-            if starts is None:
-                continue
-            if starts[-1] + size > len(body):
-                raise self._unlike(topic)
-            gathered = np.frombuffer(body, np.uint8)[starts[:, None] + np.arange(size)]
-            parts.append(gathered.view(kind)[:, 0])
-        rows = np.concatenate(parts)
-        if np.any(rows["length"] != size - RECORD_HEADER.size):
-            raise self._unlike(topic)
-        return rows
+        return np.dtype({"names": names, "formats": codes, "offsets": places, "itemsize": size})
 
-    def _unlike(self, topic: str) -> RecordingError:
-        return RecordingError(f"{self.path}: {topic}: a message's length is not that of its definition")
+    def _wrong_length(self, topic: str) -> RecordingError:
+        return RecordingError(f"{self.path}: {topic}: a message has not the length that its definition gives")
 
     def _take(self, opcode: int, offset: int, body: bytes) -> None:
         match opcode:
+            case Opcode.MESSAGE_INDEX if self._chunks:
+                channel, size = _INDEX_HEADER.unpack_from(body)
+                if size:
+                    self._chunks[-1].index[channel] = np.frombuffer(body, "<i8", offset=_INDEX_HEADER.size)
             case Opcode.ATTACHMENT:
                 attachment = Attachment.read(_stream(body))
                 crc = int.from_bytes(body[-_CRC_BYTES:], "little")
                 if crc and zlib.crc32(body[:-_CRC_BYTES]) != crc:
                     raise RecordingError(
-                        f"{self.path}: the attachment {attachment.name} is damaged: its CRC is not that of "
+                        f"{self.path}: the attachment {attachment.name} is damaged: its CRC does not match "
                         "its content"
                     )
                 self.attachments[attachment.name] = attachment.data
@@ -152,30 +201,21 @@ class McapContents:
             case Opcode.SCHEMA | Opcode.CHANNEL:
                 self._describe(opcode, body)
             case Opcode.CHUNK:
-                self._index(offset, Chunk.read(_stream(body)))
+                self._chunks.append(_Chunk(offset, Chunk.read(_stream(body))))
 
-    def _is_ended(self, content: bytes, places: dict[int, tuple[int, int]], end: int) -> bool:
-        """Tell a file that was cut off from one that was changed, and hold a whole one to its CRCs.
+    def _is_complete(self, content: bytes, places: dict[int, tuple[int, int]], end: int) -> bool:
+        """Return False for a file that was cut off. Raises RecordingError for one that is damaged at its end.
 
-        ``places``: where the last record of each opcode begins and ends; ``end``: of the last whole record.
+        ``places`` has the begin and end of the last record of each opcode; ``end`` is that of the last whole
+        record.
         """
         rest, has_footer = content[end:], Opcode.FOOTER in places
-        if not (has_footer and Opcode.DATA_END in places and rest == MCAP0_MAGIC):
-            if content.endswith(MCAP0_MAGIC) or (has_footer and not MCAP0_MAGIC.startswith(rest)):
-                raise RecordingError(f"{self.path}: damaged: its records do not lead to its end")
-            return False
-        (data_end, summary), (footer, _) = places[Opcode.DATA_END], places[Opcode.FOOTER]
-        data_crc = DataEnd.read(_stream(content[data_end + RECORD_HEADER.size :])).data_section_crc
-        summary_crc = Footer.read(_stream(content[footer + RECORD_HEADER.size :])).summary_crc
-        self._check_crc(content, 0, data_end, data_crc)
-        self._check_crc(content, summary, footer + _FOOTER_UP_TO_CRC, summary_crc)
-        return True
-
-    def _check_crc(self, content: bytes, start: int, end: int, crc: int) -> None:
-        if crc and zlib.crc32(memoryview(content)[start:end]) != crc:
-            raise RecordingError(
-                f"{self.path}: damaged: the CRC of bytes {start} to {end} is not that of their content"
-            )
+        if has_footer and Opcode.DATA_END in places and rest == MCAP0_MAGIC:
+            return True
+        has_end = len(content) > len(MCAP0_MAGIC) and content.endswith(MCAP0_MAGIC)
+        if has_end or (has_footer and not MCAP0_MAGIC.startswith(rest)):
+            raise RecordingError(f"{self.path}: damaged: its records do not lead to its end")
+        return False
 
     def _describe(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:
@@ -185,35 +225,58 @@ class McapContents:
             channel = Channel.read(_stream(body))
             self.channels[channel.topic] = channel
 
-    def _index(self, offset: int, record: Chunk) -> None:
-        body = self._uncompressed(offset, record)
-        offsets = {
-            channel: np.array(pairs[1::2], np.int64) for channel, pairs in index_messages(body).items()
-        }
-        self._chunks.append(_Chunk(offset, record, offsets))
-        known = {channel.id for channel in self.channels.values()}
-        if not offsets.keys() <= known:
-            for opcode, _, description in _records(body, 0):
-                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._describe(opcode, description)
+    def _describes(self, chunk: _Chunk) -> bool:
+        """Return True if the channels of the chunk's messages are known, with their schemas."""
+        known = {channel.id for channel in self.channels.values() if channel.schema_id in self._schemas}
+        return chunk.index.keys() <= known
 
-    def _uncompressed(self, offset: int, chunk: Chunk) -> bytes:
-        damaged = f"{self.path}: the chunk at byte {offset} is damaged"
-        if chunk.compression not in ("zstd", ""):
-            raise RecordingError(f"{self.path}: compressed with {chunk.compression}, which is not read here")
+    def _walk_through(self, chunk: _Chunk) -> None:
+        """Find the chunk's messages, and the channels that it describes, without an index."""
+        body = self._uncompressed(chunk)
         try:
-            body = (
-                zstandard.decompress(chunk.data, chunk.uncompressed_size) if chunk.compression else chunk.data
+            index = index_messages(body)
+            chunk.index = {channel: np.array(entries, np.int64) for channel, entries in index.items()}
+            if not self._describes(chunk):
+                for opcode, _, description in _records(body, 0):
+                    if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                        self._describe(opcode, description)
+        except _PARSE_ERRORS:
+            raise RecordingError(f"{self.path}: the chunk at byte {chunk.offset} is damaged") from None
+
+    def _uncompressed(self, chunk: _Chunk) -> bytes:
+        record = chunk.record
+        damaged = f"{self.path}: the chunk at byte {chunk.offset} is damaged"
+        if record.compression not in ("zstd", ""):
+            raise RecordingError(
+                f"{self.path}: its chunks are compressed with {record.compression}; only zstd can be read"
+            )
+        try:
+            body: bytes = (
+                self._decompressor.decompress(record.data, record.uncompressed_size)
+                if record.compression
+                else record.data
             )
         except zstandard.ZstdError as error:
             raise RecordingError(f"{damaged}: {error}") from None
-        if chunk.uncompressed_crc and zlib.crc32(body) != chunk.uncompressed_crc:
-            raise RecordingError(f"{damaged}: its CRC is not that of its content")
+        if not self._is_intact and record.uncompressed_crc and zlib.crc32(body) != record.uncompressed_crc:
+            raise RecordingError(f"{damaged}: its CRC does not match its content")
         return body
 
 
+def _sections(content: bytes, places: dict[int, tuple[int, int]]) -> list[_Section]:
+    """Return the sections of a complete file that have a CRC: the data, and the summary with the footer."""
+    (data_end, summary), (footer, _) = places[Opcode.DATA_END], places[Opcode.FOOTER]
+    data_crc = DataEnd.read(_stream(content[data_end + RECORD_HEADER.size :])).data_section_crc
+    summary_crc = Footer.read(_stream(content[footer + RECORD_HEADER.size :])).summary_crc
+    sections = (
+        _Section(0, data_end, data_crc),
+        _Section(summary, footer + _FOOTER_UP_TO_CRC, summary_crc),
+    )
+    return [section for section in sections if section.crc]
+
+
 def _records(content: bytes, start: int) -> Iterator[tuple[int, int, bytes]]:
-    """Opcode, offset and body of each whole record from ``start`` on."""
+    """Yield opcode, offset and body of each whole record from ``start`` on."""
     while start + RECORD_HEADER.size <= len(content):
         opcode, length = RECORD_HEADER.unpack_from(content, start)
         end = start + RECORD_HEADER.size + length

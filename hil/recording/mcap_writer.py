@@ -1,8 +1,8 @@
-"""An MCAP file from batches of ready message records: chunks, indexes, statistics, footer.
+"""Writes an MCAP file from batches of complete message records: chunks, indexes, statistics, footer.
 
-``mcap.writer.Writer`` takes one message at a time, 7 µs each, most of it for an index entry made of objects.
-Here a batch goes into its chunk as it is, and a chunk is indexed in one pass. Every other record is written
-by mcap's own classes. Format: https://mcap.dev/spec.
+``mcap.writer.Writer`` takes one message at a time and needs 7 µs for it, mostly to build an index entry of
+objects. This writer copies a batch into its chunk and indexes the chunk in one pass. The classes of ``mcap``
+write all other records. Format: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ from hil.recording import schemas
 from hil.recording.handover import RunHeader, index_messages, log_time_of_first
 
 CHUNK_BYTES = 64 * 1024
+"""A chunk ends with the batch that makes it this large."""
 CHUNK_SPAN_NS = 400_000_000
-"""A chunk ends with the batch that makes it so large, or that begins so much later than the chunk.
+"""A chunk ends with the batch that begins this much later than the chunk.
 
-With a batch on either side of the pipe (``recorder.BATCH_AGE_NS``), a crash costs 0.8 s at most.
+With a batch on either side of the pipe (``recorder.BATCH_SPAN_NS``), a crash loses 0.8 s at most.
 """
 
 _MESSAGE_INDEX_HEADER = struct.Struct("<BQHI")
@@ -49,13 +50,13 @@ _FOOTER_UP_TO_CRC = struct.Struct("<BQQQ")
 
 
 class McapWriter:
-    """Writes one recording through ``write``, which takes bytes and keeps their order."""
+    """Writes one recording by calling ``write`` with the bytes of the file in their order."""
 
     def __init__(self, write: Callable[[bytes], object], header: RunHeader) -> None:
         self._write = write
         self._position = 0
         self._crc = 0
-        """Of all that was written."""
+        """CRC-32 of all bytes that were written."""
         self._compressor = zstandard.ZstdCompressor()
         self._chunk_indexes: list[ChunkIndex] = []
         self._attachment_indexes: list[AttachmentIndex] = []
@@ -68,6 +69,7 @@ class McapWriter:
         for name, (media_type, content) in header.attachments.items():
             self._add_attachment(Attachment(0, 0, name, media_type, content))
         own = {
+            "format_version": str(schemas.FORMAT_VERSION),
             "epoch_offset_ns": str(header.epoch_offset_ns),
             "bus": header.bus,
             "stamp_origin": header.stamp_origin,
@@ -75,17 +77,17 @@ class McapWriter:
         self._add_metadata({"recording": own, **header.metadata})
 
         self._chunk = bytearray(_bytes_of([*self._schemas, *self._channels]))
-        """The first chunk opens with schemas and channels: no message may come before its channel."""
+        """Chunk in progress. The first chunk begins with the schemas and channels of all messages."""
         self._first_message = len(self._chunk)
         self._chunk_began_ns = 0
 
     @property
     def message_count(self) -> int:
-        """Messages in written chunks."""
+        """Number of messages in the chunks that were written."""
         return self._counts.total()
 
     def add_batch(self, records: bytes) -> None:
-        """Append whole message records; the chunk is written when it is large or long enough."""
+        """Append complete message records, and write the chunk when it has reached its size or span."""
         began_ns = log_time_of_first(records)
         if len(self._chunk) == self._first_message:
             self._chunk_began_ns = began_ns
@@ -94,7 +96,7 @@ class McapWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the chunk in progress, if it has messages, and its message indexes."""
+        """Write the chunk in progress with its message indexes, if it has messages."""
         if len(self._chunk) == self._first_message:
             return
         body = bytes(self._chunk)
@@ -132,7 +134,7 @@ class McapWriter:
         self._first_message = 0
 
     def finish(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
-        """Write the last chunk, ``metadata`` (name to entries), the summary and the footer."""
+        """Write the last chunk, ``metadata`` (entries by name), the summary and the footer."""
         self.flush()
         self._add_metadata(metadata)
         self._put(_bytes_of([DataEnd(self._crc)]))
@@ -199,7 +201,7 @@ class McapWriter:
 
 
 def _described(channels: tuple[schemas.Channel, ...]) -> tuple[list[Schema], list[Channel]]:
-    """Schema and channel records; ids count from 1."""
+    """Return the schema and channel records; their ids count from 1."""
     types = list(dict.fromkeys(channel.type for channel in channels))
     return (
         [

@@ -1,4 +1,4 @@
-"""The loop's end of the pipe to the recorder process: starts it, feeds it, counts what is lost."""
+"""The loop's end of the pipe to the recorder process: starts it, sends it blocks, counts lost messages."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from hil.recording.handover import BATCH, BLOCK_HEADER, LOSSLESS, REAL_TIME, ind
 PROCESS_MODULE = "hil.recording.recorder_process"
 PIPE_BYTES = 1024 * 1024
 BACKLOG_BYTES = 16 * 1024 * 1024
-"""More than three minutes of a three-axis run; what comes on top is dropped."""
-PATIENCE_S = 10.0
-"""For a recorder process that takes nothing while somebody waits for it: a slow disk, not one that hangs."""
+"""Largest backlog, more than three minutes of a run with three axes. Batches beyond it are dropped."""
+TIMEOUT_S = 10.0
+"""Longest wait for a recorder process that reads nothing or does not end. A slow disk needs less."""
 
 
 class RecorderPipe:
-    """Blocks go in, in order; the recorder process writes them to ``path``.
+    """Starts a recorder process that writes to ``path``, and sends it blocks in their order.
 
-    ``lossless``: :meth:`send` waits for the process instead of dropping. Raises RecordingError when ``path``
-    exists or cannot be created.
+    With ``lossless``, :meth:`send` waits for the process; otherwise it never blocks, and drops batches that
+    exceed the backlog. Raises RecordingError when ``path`` exists or cannot be created.
     """
 
     def __init__(self, path: Path, lossless: bool) -> None:
         self.failure: str | None = None
-        """Why the recorder process no longer takes anything."""
+        """Reason why the recorder process has stopped; None while it works."""
         self.dropped: Counter[int] = Counter()
-        """Messages lost on this side, by channel id."""
-        self.news: list[LogEntry] = []
-        """What the user should read."""
+        """Number of messages that were not sent to the recorder process, by channel id."""
+        self.log: list[LogEntry] = []
+        """Log entries about the recording itself that the user has not been shown yet."""
         self._path = path
         self._lossless = lossless
         self._backlog: deque[bytearray] = deque()
@@ -48,16 +48,16 @@ class RecorderPipe:
         self._stdin, self._stderr = self._process.stdin, self._process.stderr
         os.set_blocking(self._stdin.fileno(), False)
         os.set_blocking(self._stderr.fileno(), False)
-        with contextlib.suppress(OSError):  # over the user's quota: the default size does, too
+        with contextlib.suppress(OSError):  # Beyond the user's quota; the default size also works.
             fcntl.fcntl(self._stdin, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
     @property
     def has_backlog(self) -> bool:
-        """Whether something waits for :meth:`push`."""
+        """True while blocks wait for :meth:`push`."""
         return bool(self._backlog)
 
     def send(self, block: bytearray, kind: bytes) -> None:
-        """Pass on ``block``, whose first ``BLOCK_HEADER.size`` bytes are room for the header."""
+        """Send ``block``. Its first ``BLOCK_HEADER.size`` bytes are reserved; this method fills them in."""
         BLOCK_HEADER.pack_into(block, 0, kind, len(block) - BLOCK_HEADER.size)
         if self.failure is not None or (
             kind == BATCH and not self._lossless and self._backlog_bytes + len(block) > BACKLOG_BYTES
@@ -71,7 +71,7 @@ class RecorderPipe:
             self.drain()
 
     def push(self) -> None:
-        """Write as much of the backlog as the pipe takes now."""
+        """Write as much of the backlog as the pipe accepts without blocking."""
         try:
             while self._backlog:
                 first = self._backlog[0]
@@ -85,25 +85,25 @@ class RecorderPipe:
         except BlockingIOError:
             pass
         except BrokenPipeError:
-            self._fail(self._last_words())
+            self._fail(self._reason_of_end())
 
     def drain(self) -> None:
-        """Wait until everything is written, or the process has taken nothing for too long."""
+        """Wait until the backlog is written; kill a process that reads nothing for ``TIMEOUT_S``."""
         while self._backlog:
-            if not select.select([], [self._stdin], [], PATIENCE_S)[1]:
+            if not select.select([], [self._stdin], [], TIMEOUT_S)[1]:
                 self._process.kill()
-                self._fail(f"the recorder process took nothing for {PATIENCE_S:g} s, and was killed")
+                self._fail(f"the recorder process read nothing for {TIMEOUT_S:g} s and was killed")
             self.push()
 
     def close(self) -> None:
-        """Write what is left, and wait until the file is whole; ``failure`` says when it is not."""
+        """Write the backlog and wait for the process to end; ``failure`` is set if the file is incomplete."""
         self.drain()
         self._stdin.close()
-        status = await_end(self._process, PATIENCE_S)
+        status = await_end(self._process, TIMEOUT_S)
         if status is None:
-            self._fail(f"the recorder process did not end within {PATIENCE_S:g} s, and was killed")
+            self._fail(f"the recorder process did not end within {TIMEOUT_S:g} s and was killed")
         elif status != 0:
-            self._fail(self._last_words())
+            self._fail(self._reason_of_end())
         self._stderr.close()
 
     def _drop(self, block: bytearray) -> None:
@@ -111,8 +111,8 @@ class RecorderPipe:
         if kind != BATCH:
             return
         if not self.dropped and self.failure is None:
-            text = f"{self._path}: the recorder process falls behind; messages are dropped from here on"
-            self.news.append(LogEntry(Severity.WARNING, "recorder", text))
+            text = f"{self._path}: the recorder process is too slow; messages are dropped from here on"
+            self.log.append(LogEntry(Severity.WARNING, "recorder", text))
         for channel, pairs in index_messages(block, BLOCK_HEADER.size).items():
             self.dropped[channel] += len(pairs) // 2
 
@@ -120,14 +120,14 @@ class RecorderPipe:
         if self.failure is not None:
             return
         self.failure = reason
-        self.news.append(LogEntry(Severity.ERROR, "recorder", f"{self._path}: recording ended: {reason}"))
+        self.log.append(LogEntry(Severity.ERROR, "recorder", f"{self._path}: recording ended: {reason}"))
         for block in self._backlog:
             self._drop(block)
         self._backlog.clear()
         self._backlog_bytes = 0
 
-    def _last_words(self) -> str:
-        """The last line that the recorder process wrote before it ended."""
+    def _reason_of_end(self) -> str:
+        """Return the last line that the recorder process wrote to stderr."""
         with contextlib.suppress(OSError):
             lines = self._stderr.read()
             if lines:
@@ -136,12 +136,12 @@ class RecorderPipe:
 
 
 def _start_process(path: Path, lossless: bool) -> subprocess.Popen[bytes]:
-    """It reads blocks from its stdin, writes the file to its stdout, and says why it failed on its stderr."""
+    """Start the process with ``path`` as its stdout. Raises RecordingError."""
     try:
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     except FileExistsError:
         raise RecordingExistsError(
-            f"{path}: exists already, and a recording never overwrites: remove it or choose another name"
+            f"{path}: exists already; a recording overwrites no file: remove it or choose another name"
         ) from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be created: {error.strerror}") from None
@@ -152,7 +152,7 @@ def _start_process(path: Path, lossless: bool) -> subprocess.Popen[bytes]:
             stdout=file,
             stderr=subprocess.PIPE,
             bufsize=0,
-            start_new_session=True,  # Ctrl-C in the terminal is for the gateway alone
+            start_new_session=True,  # Ctrl-C in the terminal must not end the recorder.
         )
     except OSError as error:
         path.unlink()

@@ -1,125 +1,89 @@
-"""Reads a recording: the core's calls for replay, signals and timing as numpy arrays, events, configuration.
+"""Reads the recording of a run: signals, timing and frames as numpy arrays, log, documents and calls.
 
-All ``_ns`` are monotonic, as the loop saw them, unless said otherwise.
+All ``_ns`` are on the gateway's monotonic clock, unless stated otherwise.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import RecordingError
-from hil.core.frames import Frame
-from hil.core.output import AxisSignals, LogEntry, Severity
+from hil.recording.entries import Entry, Logged, Message, decoder_of, log_entry_of
 from hil.recording.handover import MESSAGE_HEADER, RECORD_HEADER, SEQUENCE_MASK
-from hil.recording.mcap_reader import MESSAGE_FIELDS, McapContents, Rows
-from hil.recording.schemas import AXIS_TOPIC, CDR_HEADER, layout_of
+from hil.recording.mcap_reader import McapContents, Rows
+from hil.recording.schemas import (
+    AXIS_TOPIC,
+    CYCLE_TOPIC,
+    FORMAT_VERSION,
+    LOG_TOPIC,
+    RECEIVED_TOPIC,
+    REFUSED_TOPIC,
+    SENT_TOPIC,
+)
+from hil.recording.tables import AxisTable, BoolArray, FrameTable, IntArray, TimingTable
 
 _SECOND_NS = 1_000_000_000
-
-
-class FrameReceived(NamedTuple):
-    """The core was given ``frame``, which the link had stamped ``stamp_ns`` (epoch)."""
-
-    now_ns: int
-    frame: Frame
-    stamp_ns: int
-
-
-class FrameSent(NamedTuple):
-    """The core had answered with ``frame``, which left at ``now_ns``."""
-
-    now_ns: int
-    frame: Frame
-
-
-class DeadlineCalled(NamedTuple):
-    """The core's ``on_deadline`` was called."""
-
-    now_ns: int
-    deadline_ns: int
-
-
-class Operated(NamedTuple):
-    """The core was given an operator's command, or told of a failure (``recorder.LINK_FAILED``).
-
-    Or, as an answer, a frame that the bus did not take (``recorder.NOT_SENT``).
-    """
-
-    now_ns: int
-    command: str
-
-
-Call = FrameReceived | FrameSent | DeadlineCalled | Operated
-
-
-class EventTold(NamedTuple):
-    """The core, or the shell, reported ``event``."""
-
-    now_ns: int
-    event: LogEntry
-
-
-class AxisRecorded(NamedTuple):
-    """An axis in the period that ended; ``wake_ns`` is the sampling instant, when SYNC left."""
-
-    now_ns: int
-    axis: str
-    wake_ns: int
-    signals: AxisSignals
-    state: int
-    fresh: bool
-
-
-class CycleRecorded(NamedTuple):
-    """A period that ended: instants as in :meth:`Recording.timing`."""
-
-    now_ns: int
-    number: int
-    deadline_ns: int
-    wake_ns: int
-    receive_ns: int
-    computed_ns: int
-    sent_ns: int
-    state: int
-    fresh: bool
-
-
-Entry = Call | EventTold | AxisRecorded | CycleRecorded
+_FRAME_TOPICS = {"received": RECEIVED_TOPIC, "sent": SENT_TOPIC, "refused": REFUSED_TOPIC}
 
 
 class Recording:
-    """One run. Raises RecordingError when ``path`` is no recording, or is damaged other than at its end."""
+    """The recording of one run; see :func:`hil.recording.open_recording` for examples.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._contents = contents = McapContents(path)
-        self.attachments = contents.attachments
-        self.metadata = contents.metadata
-        self.complete = contents.is_complete
-        """Whether the file was ended properly; if not, it holds everything up to the last whole chunk."""
+    A file that was cut off gives everything up to its last complete chunk. Raises RecordingError when
+    ``path`` is not a recording, has another format version than ``schemas.FORMAT_VERSION``, or is damaged
+    other than at its end.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._contents = contents = McapContents(self.path)
+        self.attachments: dict[str, bytes] = contents.attachments
+        """Content of each attached document, by its name."""
+        self.metadata: dict[str, dict[str, str]] = contents.metadata
+        """Entries of each metadata record, by its name: ``run``, ``setpoints``, ``ending``, ``rights``."""
+        self.complete: bool = contents.is_complete
+        """True if the file was ended properly, False if it was cut off."""
+        own = self._own_metadata()
+        self.bus: str = own["bus"]
+        """Name of the bus."""
+        try:
+            self.epoch_offset_ns = int(own["epoch_offset_ns"])
+            """Epoch time minus time on the gateway's monotonic clock, in ns."""
+        except ValueError:
+            raise RecordingError(
+                f"{self.path}: metadata recording.epoch_offset_ns is not an integer: "
+                f"{own['epoch_offset_ns']!r}"
+            ) from None
+
+    def _own_metadata(self) -> dict[str, str]:
         own = self.metadata.get("recording", {})
         for key in ("epoch_offset_ns", "bus"):
             if key not in own:
                 raise RecordingError(
-                    f"{path}: not the recording of a run: metadata recording.{key} is missing"
+                    f"{self.path}: not the recording of a run: metadata recording.{key} is missing"
                 )
-        try:
-            self.epoch_offset_ns = int(own["epoch_offset_ns"])
-            """Epoch time minus monotonic time."""
-        except ValueError:
-            raise RecordingError(f"{path}: metadata recording.epoch_offset_ns is no number") from None
-        self.bus = own["bus"]
+        version = own.get("format_version", "1")
+        if version != str(FORMAT_VERSION):
+            writer = self.metadata.get("run", {}).get("hil", "")
+            raise RecordingError(
+                f"{self.path}: the recording has format version {version}, and this program reads version "
+                f"{FORMAT_VERSION}: read it with the pneumatic-hil that recorded it"
+                + (f", version {writer}" if writer else "")
+            )
+        return own
 
     @property
     def axes(self) -> dict[str, str]:
-        """Axis names and units, in the rig file's order."""
+        """Unit (m or rad) of each axis, by its name, in the rig file's order."""
         return {
             topic.removeprefix(AXIS_TOPIC): channel.metadata.get("unit", "")
             for topic, channel in self._contents.channels.items()
@@ -127,138 +91,138 @@ class Recording:
         }
 
     @property
+    def documents(self) -> dict[str, str]:
+        """The attachments as text: ``rig.toml``, ``arm.dbc``, ``controllers/<axis>.json`` and others."""
+        return {name: content.decode(errors="replace") for name, content in self.attachments.items()}
+
+    @property
     def counts(self) -> dict[str, int]:
-        """Messages by topic."""
+        """Number of messages, by topic."""
         return self._contents.counts
 
     @property
+    def messages_dropped(self) -> int:
+        """Number of messages that were not recorded, because the recorder process was too slow or ended."""
+        counts = self.metadata.get("recorder", {})
+        return sum(int(count) for key, count in counts.items() if key.startswith("dropped "))
+
+    @property
     def state_names(self) -> dict[int, str]:
-        """Names of the life cycle's states, as they were when this was recorded."""
-        definition = self._contents.definition("/gateway/cycle")
-        constants = re.findall(r"^uint8 (\w+)=(\d+)$", definition, flags=re.MULTILINE)
+        """Names of the life cycle's states, by number, from the definitions in the file."""
+        constants = re.findall(
+            r"^uint8 (\w+)=(\d+)$", self._contents.definition(CYCLE_TOPIC), flags=re.MULTILINE
+        )
         return {int(value): name.lower() for name, value in constants}
 
-    def axis(self, name: str) -> Rows:
-        """The periods of an axis.
+    @cached_property
+    def start_ns(self) -> int:
+        """Instant from which ``time_s`` counts: ``wake_ns`` of the first recorded period, 0 without one."""
+        first = self._contents.first_row(CYCLE_TOPIC, "")
+        return int(first["wake_ns"][0]) if len(first) else 0
 
-        Columns: ``time_ns`` (SYNC, the sampling instant); ``setpoint``, ``position``, ``error`` in the axis'
-        unit; ``output_v``, ``command_v``, ``potentiometer_v``; ``state``, ``fresh``.
-        """
+    def seconds(self, time_ns: int) -> float:
+        """Convert an instant to seconds from the first recorded period, the scale of every ``time_s``."""
+        return (time_ns - self.start_ns) * 1e-9
+
+    def axis(self, name: str) -> AxisTable:
+        """Return the signals of an axis, one row for each period. Raises RecordingError without that axis."""
+        if name not in self.axes:
+            raise RecordingError(f"{self.path}: no axis {name!r}; the recording has {', '.join(self.axes)}")
         rows = self._contents.rows(AXIS_TOPIC + name, "")
         time_ns = rows["header.stamp.sec"].astype(np.int64) * _SECOND_NS + rows["header.stamp.nanosec"]
-        own = [
-            column for column in rows.dtype.names or () if "." not in column and column not in MESSAGE_FIELDS
-        ]
-        return _table({"time_ns": time_ns - self.epoch_offset_ns} | {column: rows[column] for column in own})
-
-    def timing(self) -> Rows:
-        """The periods of the loop.
-
-        Columns: ``number``, ``deadline_ns``, ``wake_ns``, ``receive_ns`` (0: no sample came),
-        ``computed_ns``, ``sent_ns``, ``state``, ``fresh``.
-        """
-        rows = self._contents.rows("/gateway/cycle", "")
-        instants = ("deadline", "wake", "receive", "computed", "sent")
-        return _table(
-            {"number": rows["number"]}
-            | {f"{instant}_ns": rows[instant] for instant in instants}
-            | {"state": rows["state"], "fresh": rows["fresh"]}
+        time_ns -= self.epoch_offset_ns
+        signals = (
+            "setpoint",
+            "position",
+            "error",
+            "output_v",
+            "command_v",
+            "potentiometer_v",
+            "state",
+            "fresh",
+        )
+        return AxisTable(
+            time_s=self._seconds(time_ns),
+            time_ns=time_ns,
+            **_columns(rows, signals),
+            running=self._is_running(rows),
+            name=name,
+            unit=self.axes[name],
         )
 
-    def times_sent(self, identifier: int) -> npt.NDArray[np.int64]:
-        """When data frames of an 11-bit identifier had been handed to the link."""
-        return self._times("/can/tx", identifier)
+    def timing(self) -> TimingTable:
+        """Return the timing of the loop, one row for each period."""
+        rows = self._contents.rows(CYCLE_TOPIC, "")
+        instants = ("deadline_ns", "wake_ns", "receive_ns", "computed_ns", "sent_ns")
+        return TimingTable(
+            time_s=self._seconds(rows["wake_ns"]),
+            **_columns(rows, ("number", *instants, "state", "fresh")),
+            running=self._is_running(rows),
+        )
 
-    def times_received(self, identifier: int) -> npt.NDArray[np.int64]:
-        """When the core was given data frames of an 11-bit identifier."""
-        return self._times("/can/rx", identifier)
+    def frames(
+        self, which: Literal["received", "sent", "refused"], identifier: int | None = None
+    ) -> FrameTable:
+        """Return CAN frames: those received, those sent, or those that the link did not send.
 
-    def _times(self, topic: str, identifier: int) -> npt.NDArray[np.int64]:
-        rows = self._contents.rows(topic, self.bus)
-        chosen = (rows["id"] == identifier) & ~rows["is_extended"] & ~rows["is_rtr"]
-        times_ns: npt.NDArray[np.int64] = rows["log_time"][chosen].astype(np.int64)
-        return times_ns - self.epoch_offset_ns
+        With ``identifier``, only the data frames with this identifier of 11 bits.
+        """
+        rows = self._contents.rows(_FRAME_TOPICS[which], self.bus)
+        if identifier is not None:
+            rows = rows[
+                (rows["id"] == identifier) & ~rows["is_extended"] & ~rows["is_rtr"] & ~rows["is_error"]
+            ]
+        time_ns = rows["log_time"].astype(np.int64) - self.epoch_offset_ns
+        return FrameTable(
+            time_s=self._seconds(time_ns),
+            time_ns=time_ns,
+            stamp_ns=rows["publish_time"].astype(np.int64),
+            **_columns(rows, ("id", "is_extended", "is_error")),
+            is_remote=rows["is_rtr"].copy(),
+            length=rows["dlc"].copy(),
+            data=np.frombuffer(rows["data"].tobytes(), np.uint8).reshape(-1, 8),
+        )
 
-    def log(self) -> list[tuple[int, LogEntry]]:
-        """What was reported, with its time in ns."""
-        channel = self._contents.channel("/gateway/log").id
-        return [(message.now_ns, _event(message.payload)) for message in self._messages({channel})]
-
-    def calls(self) -> Iterator[Call]:
-        """The core's calls and answers in their order. Raises what :meth:`entries` raises."""
-        return (entry for entry in self.entries() if isinstance(entry, Call))
+    def log(self) -> list[Logged]:
+        """Return the log entries, each with its time in ns."""
+        return list(map(log_entry_of, self._messages({self._contents.channel(LOG_TOPIC).id})))
 
     def entries(self) -> Iterator[Entry]:
-        """All that was recorded, in its order.
+        """Yield all entries in the order in which they were recorded.
 
-        Raises RecordingError where messages are missing: what was dropped while recording cannot be replayed.
+        Raises RecordingError where messages were dropped, since the following entries cannot be replayed.
         """
-        channels = self._contents.channels
-        readers = {channel.id: self._reader(topic) for topic, channel in channels.items()}
+        decoders = {
+            channel.id: decoder_of(topic, self._contents.definition(topic), self.bus, self.epoch_offset_ns)
+            for topic, channel in self._contents.channels.items()
+        }
         expected = 1
         for message in self._messages(None):
             if message.sequence != expected:
                 missing = (message.sequence - expected) & SEQUENCE_MASK
                 raise RecordingError(
                     f"{self.path}: {missing} messages before {message.now_ns} ns were dropped while "
-                    "recording; from there on the calls of the core are not known"
+                    "recording; the entries after them cannot be replayed"
                 )
             expected = (message.sequence + 1) & SEQUENCE_MASK
-            read = readers.get(message.channel)
-            if read is None:
+            decode = decoders.get(message.channel)
+            if decode is None:
                 continue
             try:
-                entry = read(message)
+                entry = decode(message)
             except (ValueError, struct.error) as error:
                 raise RecordingError(
                     f"{self.path}: message {message.sequence} cannot be read: {error}"
                 ) from None
             yield entry
-        dropped = self.messages_dropped
-        if dropped:
+        if self.messages_dropped:
             raise RecordingError(
-                f"{self.path}: {dropped} messages after the last one were dropped while recording"
+                f"{self.path}: {self.messages_dropped} messages after the last one were dropped while "
+                "recording"
             )
 
-    @property
-    def messages_dropped(self) -> int:
-        """Messages that were not recorded, because the recorder process fell behind or ended."""
-        counts = self.metadata.get("recorder", {})
-        return sum(int(count) for key, count in counts.items() if key.startswith("dropped "))
-
-    def _reader(self, topic: str) -> Callable[[_Message], Entry] | None:
-        """What makes an entry of a message of ``topic``; None for topics that are not the gateway's."""
-        match topic:
-            case "/can/rx":
-                frame = self._struct(topic, self.bus).unpack
-                return lambda m: FrameReceived(m.now_ns, _frame(frame(m.payload)), m.stamp_ns)
-            case "/can/tx":
-                frame = self._struct(topic, self.bus).unpack
-                return lambda m: FrameSent(m.now_ns, _frame(frame(m.payload)))
-            case "/gateway/deadline":
-                deadline = self._struct(topic, "").unpack
-                return lambda m: DeadlineCalled(*deadline(m.payload)[:0:-1])
-            case "/gateway/operator":
-                return lambda m: Operated(m.now_ns, _string(m.payload, len(CDR_HEADER))[0])
-            case "/gateway/log":
-                return lambda m: EventTold(m.now_ns, _event(m.payload))
-            case "/gateway/cycle":
-                cycle = self._struct(topic, "").unpack
-                return lambda m: CycleRecorded(m.now_ns, *cycle(m.payload)[1:])
-        return self._axis_reader(topic.removeprefix(AXIS_TOPIC)) if topic.startswith(AXIS_TOPIC) else None
-
-    def _axis_reader(self, name: str) -> Callable[[_Message], AxisRecorded]:
-        axis = self._struct(AXIS_TOPIC + name, "")
-
-        def read(message: _Message) -> AxisRecorded:
-            _, seconds, nanoseconds, _, *signals, state, fresh = axis.unpack(message.payload)
-            wake_ns = seconds * _SECOND_NS + nanoseconds - self.epoch_offset_ns
-            return AxisRecorded(message.now_ns, name, wake_ns, AxisSignals(*signals), state, fresh)
-
-        return read
-
-    def _messages(self, channels: set[int] | None) -> Iterator[_Message]:
-        """Messages of ``channels`` (None: of all) in the order recorded."""
+    def _messages(self, channels: set[int] | None) -> Iterator[Message]:
+        """Yield the messages of ``channels`` (None: of all) in the order in which they were recorded."""
         for body, offsets in self._contents.chunks():
             chosen = offsets.keys() if channels is None else channels & offsets.keys()
             places = sorted((offset, channel) for channel in chosen for offset in offsets[channel].tolist())
@@ -266,42 +230,16 @@ class Recording:
                 prefix, sequence, log_time, stamp_ns = MESSAGE_HEADER.unpack_from(body, offset)
                 end = offset + RECORD_HEADER.size + RECORD_HEADER.unpack(prefix[: RECORD_HEADER.size])[1]
                 payload = body[offset + MESSAGE_HEADER.size : end]
-                yield _Message(channel, sequence, log_time - self.epoch_offset_ns, stamp_ns, payload)
+                yield Message(channel, sequence, log_time - self.epoch_offset_ns, stamp_ns, payload)
 
-    def _struct(self, topic: str, frame_id: str) -> struct.Struct:
-        return struct.Struct("<" + layout_of(self._contents.definition(topic), frame_id).format)
+    def _seconds(self, time_ns: IntArray) -> npt.NDArray[np.float64]:
+        return np.asarray((time_ns - self.start_ns) * 1e-9)
 
-
-class _Message(NamedTuple):
-    channel: int
-    sequence: int
-    now_ns: int
-    stamp_ns: int
-    """Publish time, epoch."""
-    payload: bytes
+    def _is_running(self, rows: Rows) -> BoolArray:
+        running = [value for value, name in self.state_names.items() if name == "running"]
+        return np.isin(rows["state"], running)
 
 
-def _frame(values: tuple[Any, ...]) -> Frame:
-    *_, identifier, is_remote, is_extended, is_error, length, data = values
-    return Frame(identifier, data[:length], is_extended, is_remote, is_error)
-
-
-def _event(payload: bytes) -> LogEntry:
-    """From a ``rcl_interfaces/msg/Log``: stamp, level, then name and text, each aligned to 4 bytes."""
-    source, end = _string(payload, 16)
-    text, _ = _string(payload, end + -end % 4)
-    return LogEntry(Severity(payload[12]), source, text)
-
-
-def _string(payload: bytes, start: int) -> tuple[str, int]:
-    """The CDR string at ``start``, and where it ends."""
-    end = start + 4 + int.from_bytes(payload[start : start + 4], "little")
-    return payload[start + 4 : end - 1].decode(), end
-
-
-def _table(columns: Mapping[str, npt.NDArray[Any]]) -> Rows:
-    kinds = [(name, column.dtype) for name, column in columns.items()]
-    table = np.empty(len(next(iter(columns.values()))), kinds)
-    for name, column in columns.items():
-        table[name] = column
-    return table
+def _columns(rows: Rows, names: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
+    """Copy columns out of the rows, so that they are contiguous and do not keep the messages in memory."""
+    return {name: rows[name].copy() for name in names}

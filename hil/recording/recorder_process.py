@@ -1,7 +1,7 @@
-"""The recorder process: blocks from stdin, the recording to stdout, the reason of a failure to stderr.
+"""The recorder process: reads blocks from stdin, writes the recording to stdout and errors to stderr.
 
-It ends at an end block or at the end of its input: however the gateway ended, the file is whole. Signals that
-end the gateway are not for it.
+It finishes the file at an end block or at the end of its input. So the file is complete however the gateway
+ended. It ignores the signals that end the gateway.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from hil.recording.mcap_writer import McapWriter
 
 INPUT, OUTPUT = 0, 1
 READ_BYTES = 1024 * 1024
-SILENCE_S = 0.5
-"""In real time, after so long without a block what there is gets written: the loop may be stuck."""
+FLUSH_TIMEOUT_S = 0.5
+"""In real time, the chunk in progress is written when no block came for this time: the loop may be stuck."""
 
-GATEWAY_DIED = {"recorder": {"end": "the gateway ended without closing the recording"}}
+GATEWAY_ENDED = {"recorder": {"end": "the gateway ended without closing the recording"}}
 
 
 def main() -> None:
-    """Record until the end of the input; exit status 1 when the file cannot be written."""
+    """Record until the end of the input. The exit status is 1 when the file cannot be written."""
     for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(signum, signal.SIG_IGN)
     try:
-        record(flush_in_silence=sys.argv[1] != LOSSLESS)
+        record(flush_on_timeout=sys.argv[1] != LOSSLESS)
     except OSError as error:
         sys.exit(error.strerror)
 
 
-def record(flush_in_silence: bool) -> None:
-    """Read blocks until there are no more. Raises OSError when the file cannot be written."""
+def record(flush_on_timeout: bool) -> None:
+    """Write the blocks of stdin to the file until the last one. Raises OSError when writing fails."""
     block = _next_block(INPUT)
     if block is None:
         return
     assert block[0] == HEADER
     file = McapWriter(_write, msgspec.msgpack.decode(block[1], type=RunHeader))
     while True:
-        if flush_in_silence and not select.select([INPUT], [], [], SILENCE_S)[0]:
+        if flush_on_timeout and not select.select([INPUT], [], [], FLUSH_TIMEOUT_S)[0]:
             file.flush()
         block = _next_block(INPUT)
         if block is None:
-            file.finish(GATEWAY_DIED)
+            file.finish(GATEWAY_ENDED)
             return
         kind, content = block
         if kind == BATCH:
@@ -57,7 +57,7 @@ def record(flush_in_silence: bool) -> None:
 
 
 def _next_block(source: int) -> tuple[bytes, bytes] | None:
-    """Kind and content of the next whole block; None at the end of the input."""
+    """Read the next complete block; returns kind and content, or None at the end of the input."""
     header = _read(source, BLOCK_HEADER.size)
     if len(header) < BLOCK_HEADER.size:
         return None
@@ -67,7 +67,7 @@ def _next_block(source: int) -> tuple[bytes, bytes] | None:
 
 
 def _read(source: int, size: int) -> bytes:
-    """``size`` bytes, or fewer at the end of the input."""
+    """Read ``size`` bytes, or fewer at the end of the input."""
     content = os.read(source, min(size, READ_BYTES))
     while 0 < len(content) < size:
         more = os.read(source, min(size - len(content), READ_BYTES))

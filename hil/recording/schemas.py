@@ -1,8 +1,9 @@
-"""What a recording holds: topics, ROS 2 message definitions, and the byte layout that follows from them.
+"""Topics and ROS 2 message definitions of a recording, and the byte layout that follows from them.
 
-Every channel is CDR (``ros2msg`` schemas), so that Foxglove, PlotJuggler and ROS 2 readers open the file.
-All but text messages are of fixed size: their one string, ``frame_id``, is constant within a channel. The
-layout is computed from the definition, so writer and reader cannot disagree. CDR: OMG DDS-XTypes 7.4.3.
+Every channel is CDR (``ros2msg`` schemas), so that Foxglove, PlotJuggler and ROS 2 tools open the file.
+Messages have a fixed size, except those of ``/gateway/operator``, ``/gateway/link_failure`` and
+``/gateway/log``: their one string, ``frame_id``, is constant within a channel. Writer and reader compute the
+layout from the same definition. CDR: OMG DDS-XTypes 1.3, section 7.4.3.
 """
 
 from __future__ import annotations
@@ -14,8 +15,16 @@ from typing import NamedTuple
 
 from hil.core.life_cycle import LifeCycleState
 
+FORMAT_VERSION = 2
+"""Version of topics, definitions and metadata, in the metadata entry ``recording.format_version``.
+
+1 (pneumatic-hil 0.1): without ``format_version``; link failures and frames that were not sent were texts in
+``/gateway/operator``, and the log was ``/gateway/events``. The reader refuses every version but its own by
+name.
+"""
+
 CDR_HEADER = b"\x00\x01\x00\x00"
-"""Encapsulation: plain CDR, little endian. Alignment counts from its end."""
+"""Encapsulation header: plain CDR, little endian. The alignment of fields counts from its end."""
 
 _STATES = "\n".join(f"uint8 {state.name}={state.value}" for state in LifeCycleState)
 _SEPARATOR = "=" * 80
@@ -52,44 +61,45 @@ uint8[8] data
 
 AXIS_SIGNALS = MessageType(
     "hil_msgs/msg/AxisSignals",
-    f"""# One axis in one period. Positions in the channel's unit (metadata), voltages in volts.
-std_msgs/Header header  # stamp: the sampling instant, when SYNC left
+    f"""# The signals of one axis in one period of the loop.
+# The channel's metadata has the unit (m or rad) of setpoint, position and error. Voltages are in V.
+std_msgs/Header header  # stamp: sampling instant, when the gateway sent SYNC
 float64 setpoint
 float64 position
-float64 error
-float64 output_v  # the control law's output before the limits, offset from the valve's centre
-float64 command_v  # the valve voltage that left, before quantisation
+float64 error  # setpoint - position
+float64 output_v  # output of the control law before the limits, relative to the valve's centre voltage
+float64 command_v  # valve voltage after the limits, before quantisation
 float64 potentiometer_v
 {_STATES}
-uint8 state
-bool fresh  # false: no good sample in this period, the last signals are held
+uint8 state  # state of the life cycle after the period
+bool fresh  # false: no good sample in this period; the signals are those of the last good sample
 {_HEADER}""",
 )
 
 CYCLE = MessageType(
     "hil_msgs/msg/Cycle",
-    f"""# One period of the loop. Instants in ns of the monotonic clock.
+    f"""# One period of the loop. Instants are in ns on the gateway's monotonic clock.
 int64 number
-int64 deadline  # when SYNC was due
-int64 wake  # when the core was called for it; SYNC left right after
-int64 receive  # when the core was given the sample; 0: none came
-int64 computed  # when the core had answered
-int64 sent  # when the command had been handed to the link
+int64 deadline_ns  # when SYNC was due
+int64 wake_ns  # when the core was called; SYNC leaves right after
+int64 receive_ns  # when the core was given the good sample; 0: the period had none
+int64 computed_ns  # when the core had answered
+int64 sent_ns  # when the link had taken the last frame of the answer
 {_STATES}
-uint8 state
-bool fresh  # false: no good sample in this period; computed and sent are then of the call that closed it
+uint8 state  # state of the life cycle after the period
+bool fresh  # false: no good sample in this period; computed_ns and sent_ns are then of the next deadline
 """,
 )
 
 DEADLINE = MessageType(
     "hil_msgs/msg/Deadline",
-    """# One call of the core because its deadline had passed. ns of the monotonic clock.
-int64 deadline
-int64 now
+    """# A call of the core at its deadline. Instants are in ns on the gateway's monotonic clock.
+int64 deadline_ns
+int64 now_ns
 """,
 )
 
-OPERATOR = MessageType("std_msgs/msg/String", "string data\n")
+TEXT = MessageType("std_msgs/msg/String", "string data\n")
 
 LOG = MessageType(
     "rcl_interfaces/msg/Log",
@@ -108,14 +118,19 @@ uint32 line
 {_TIME}""",
 )
 
-RECEIVED, SENT, DEADLINES, CYCLES, OPERATED, EVENTS, FIRST_AXIS = range(1, 8)
-"""Channel ids. Axes follow from FIRST_AXIS on, in the rig file's order."""
+RECEIVED, SENT, REFUSED, DEADLINES, CYCLES, OPERATOR, LINK_FAILURES, LOG_ENTRIES, FIRST_AXIS = range(1, 10)
+"""Channel ids. The axes have the ids from FIRST_AXIS on, in the rig file's order."""
 
+RECEIVED_TOPIC, SENT_TOPIC, REFUSED_TOPIC = "/can/rx", "/can/tx", "/can/refused"
+DEADLINE_TOPIC, CYCLE_TOPIC = "/gateway/deadline", "/gateway/cycle"
+OPERATOR_TOPIC, LINK_FAILURE_TOPIC = "/gateway/operator", "/gateway/link_failure"
+LOG_TOPIC = "/gateway/log"
 AXIS_TOPIC = "/axis/"
+"""Prefix of an axis' topic; the axis' name follows."""
 
 
 class Channel(NamedTuple):
-    """A channel of the file; its id is its place in :func:`channels`, counted from 1."""
+    """A channel of the file. Its id is its position in :func:`channels`, counted from 1."""
 
     topic: str
     type: MessageType
@@ -123,20 +138,22 @@ class Channel(NamedTuple):
 
 
 def channels(axes: Sequence[tuple[str, str]], stamp_origin: str) -> tuple[Channel, ...]:
-    """All channels of a recording. ``axes``: (name, unit) in the rig file's order."""
+    """Return all channels of a recording. ``axes``: (name, unit) in the rig file's order."""
     return (
-        Channel("/can/rx", FRAME, {"stamp_origin": stamp_origin}),
-        Channel("/can/tx", FRAME, {"stamp_origin": "time of sending"}),
-        Channel("/gateway/deadline", DEADLINE, {}),
-        Channel("/gateway/cycle", CYCLE, {}),
-        Channel("/gateway/operator", OPERATOR, {}),
-        Channel("/gateway/log", LOG, {}),
+        Channel(RECEIVED_TOPIC, FRAME, {"stamp_origin": stamp_origin}),
+        Channel(SENT_TOPIC, FRAME, {"stamp_origin": "time of sending"}),
+        Channel(REFUSED_TOPIC, FRAME, {"stamp_origin": "time of the attempt to send"}),
+        Channel(DEADLINE_TOPIC, DEADLINE, {}),
+        Channel(CYCLE_TOPIC, CYCLE, {}),
+        Channel(OPERATOR_TOPIC, TEXT, {}),
+        Channel(LINK_FAILURE_TOPIC, TEXT, {}),
+        Channel(LOG_TOPIC, LOG, {}),
         *(Channel(AXIS_TOPIC + name, AXIS_SIGNALS, {"unit": unit}) for name, unit in axes),
     )
 
 
 class Field(NamedTuple):
-    """A value in a payload: dotted name, struct code, and offset from the payload's first byte."""
+    """A field of a payload: dotted name, struct code, and offset from the payload's first byte."""
 
     name: str
     code: str
@@ -144,14 +161,17 @@ class Field(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Where the fields of a fixed-size payload are. ``size`` counts the encapsulation header too."""
+    """Places of the fields in a payload of fixed size. ``size`` includes the encapsulation header."""
 
     fields: tuple[Field, ...]
     size: int
 
     @property
     def format(self) -> str:
-        """For struct, little endian: the encapsulation header (4s), then the fields and their padding."""
+        """Format for struct: the encapsulation header (4s), then the fields and their padding.
+
+        The byte order is little endian; the caller puts ``<`` in front.
+        """
         parts, end = ["4s"], len(CDR_HEADER)
         for field in self.fields:
             parts.append(f"{field.offset - end}x{field.code}")
@@ -160,15 +180,15 @@ class Layout(NamedTuple):
 
 
 def cdr_string(text: str) -> bytes:
-    """A string in CDR: length with the terminating zero, bytes, zero."""
+    """Encode a string in CDR: length including the terminating zero, UTF-8 bytes, zero."""
     encoded = text.encode("utf-8", "replace") + b"\0"
     return struct.pack("<I", len(encoded)) + encoded
 
 
 def layout_of(definition: str, frame_id: str) -> Layout:
-    """The layout of a ``ros2msg`` definition whose only string, if any, is always ``frame_id``.
+    """Compute the layout of a ``ros2msg`` definition whose only string, if any, is always ``frame_id``.
 
-    Raises ValueError for a definition that is not of fixed size (sequences).
+    Raises ValueError for a definition without a fixed size (one with a sequence).
     """
     types = _types_in(definition)
     fields: list[Field] = []
@@ -198,7 +218,7 @@ def _code_of(kind: str, frame_id: str) -> tuple[str, int]:
 
 
 def _types_in(definition: str) -> dict[str, list[tuple[str, str]]]:
-    """Each type's fields as (name, type); the outermost type is ''."""
+    """Parse a definition into the fields, (name, type), of each type in it; the outermost type is ''."""
     types: dict[str, list[tuple[str, str]]] = {}
     for section in re.split(r"^={80}\n", definition, flags=re.MULTILINE):
         lines = [line.split("#")[0].split() for line in section.splitlines()]

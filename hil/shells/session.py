@@ -11,7 +11,7 @@ from hil.core.gateway import Gateway
 from hil.core.life_cycle import Trigger
 from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
 from hil.core.wire.codec import RPDO1_DAC
-from hil.recording.recorder import LINK_FAILED, NOT_SENT, Recorder
+from hil.recording.recorder import Recorder
 from hil.shells.run_plan import Ending, RunPlan
 
 
@@ -75,7 +75,7 @@ class Session:
     def operate(self, trigger: Trigger) -> None:
         """Give the core an operator's trigger."""
         now_ns = self._clock_ns()
-        self._recorder.operated(trigger.value, now_ns)
+        self._recorder.operated(trigger, now_ns)
         self._handle(self.gateway.operate(trigger, now_ns), now_ns)
 
     def end_with_failure(self, ending: Ending, reason: str) -> None:
@@ -86,7 +86,7 @@ class Session:
         now_ns = self._clock_ns()
         self.plan.fail(ending)
         self.commands_taken = self._refused_commands_in_row = 0
-        self._recorder.operated(LINK_FAILED + reason, now_ns)
+        self._recorder.link_failed(reason, now_ns)
         self._handle(self.gateway.link_failed(reason), now_ns)
 
     def note(self, entry: LogEntry) -> None:
@@ -124,7 +124,7 @@ class Session:
             if is_taken:
                 self._recorder.frame_sent(frame, sent_ns)
             else:
-                self._recorder.operated(f"{NOT_SENT}{frame}", sent_ns)
+                self._recorder.frame_refused(frame, sent_ns)
         return failure
 
     def _count(self, frame: Frame, is_taken: bool) -> None:

@@ -1,1 +1,1 @@
-"""What people see of a run: the live display, the summary in the terminal, the plots."""
+"""Presentation of a run: the live display, the summary in the terminal, the plots."""

@@ -1,6 +1,6 @@
-"""The picture of a run: setpoint, position and valve voltage of every axis over time. Needs no display.
+"""Plots a run: setpoint, position and valve voltage of every axis over time. It needs no display.
 
-matplotlib is imported here alone.
+Only this module imports matplotlib.
 """
 
 from __future__ import annotations
@@ -17,18 +17,22 @@ from matplotlib.figure import Figure
 from hil.core.errors import RecordingError
 from hil.core.output import LogEntry, Severity
 from hil.core.wire.codec import TPDO1_ADC
-from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
 from hil.recording.recorder import ARM_EVENTS
+from hil.recording.tables import AxisTable, TimingTable
 
 BLUE, GREEN, VERMILION, GREY = "#0072B2", "#009E73", "#D55E00", "#666666"
-"""From Okabe and Ito's palette, told apart by colour-blind readers."""
+"""Colours of Okabe and Ito's palette, which colour-blind readers can distinguish."""
 PANEL_WIDTH_IN, HEIGHT_IN, DPI = 5.0, 5.6, 130
 LABEL_IN_PER_LETTER = 0.075
+MIN_POSITION_SPAN = {"m": 0.01, "rad": 0.1}
+"""Smallest range of a position panel, by unit. A smaller one would magnify the converter's noise."""
+MIN_VALVE_SPAN_V = 1.0
+"""Smallest range of a valve voltage panel."""
 
 
 class _Stay(NamedTuple):
-    """A stay in one state of the life cycle, in seconds of the plot's time."""
+    """A stay in one state of the life cycle, in seconds on the plot's time axis."""
 
     state: str
     from_s: float
@@ -36,37 +40,41 @@ class _Stay(NamedTuple):
 
 
 def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: str = "") -> None:
-    """Write the run as a PNG: a column an axis. Time 0 is where the controllers began to act.
+    """Write the run as a PNG with one column for each axis. Time 0 is the first period under control.
 
-    ``axes`` are those to draw, all of them when empty; ``title`` stands above a run without a fault. States
-    other than running are shaded; faults, and what was planned for a simulated arm, are marked and named.
-    Raises RecordingError when there is nothing to draw, or ``path`` cannot be written.
+    ``axes``: names of the axes to draw, all if empty. ``title``: text above the plot; a fault replaces it.
+    States other than running are shaded. Faults and the planned events of a simulated arm are marked and
+    named. Raises RecordingError when there is nothing to draw, or ``path`` cannot be written.
     """
     timing = recording.timing()
     if len(timing) == 0:
-        raise RecordingError(f"{recording.path}: holds no period, so there is nothing to draw")
-    start_ns = _start_ns(timing, recording.state_names)
-    stays = _stays(timing, recording.state_names, start_ns)
-    faults = [(now_ns, event) for now_ns, event in recording.log() if event.severity >= Severity.FATAL]
-    units = {name: recording.axes[name] for name in axes or recording.axes}
-    figure = Figure(figsize=(PANEL_WIDTH_IN * len(units), HEIGHT_IN), dpi=DPI, layout="constrained")
+        raise RecordingError(f"{recording.path}: has no period, so there is nothing to draw")
+    start_s = float(timing.time_s[np.argmax(timing.running)])
+    stays = _stays(timing, recording.state_names, start_s)
+    faults = [
+        (recording.seconds(now_ns) - start_s, entry)
+        for now_ns, entry in recording.log()
+        if entry.severity >= Severity.FATAL
+    ]
+    names = list(axes) or list(recording.axes)
+    figure = Figure(figsize=(PANEL_WIDTH_IN * len(names), HEIGHT_IN), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
-    marks = _event_marks(recording, start_ns)
-    panels = figure.subplots(2, len(units), sharex=True, squeeze=False, height_ratios=(3, 2))
-    for (name, unit), (upper, lower) in zip(units.items(), panels.T, strict=True):
-        upper.set_title(name)
-        _draw_axis(upper, lower, recording.axis(name), start_ns, unit)
+    marks = _event_marks(recording, start_s)
+    panels = figure.subplots(2, len(names), sharex=True, squeeze=False, height_ratios=(3, 2))
+    for name, (upper, lower) in zip(names, panels.T, strict=True):
+        upper.set_title(name, parse_math=False)
+        _draw_axis(upper, lower, recording.axis(name), start_s)
         _label_stays(upper, stays)
         _mark_events(upper, lower, marks)
         for panel in (upper, lower):
             _shade_stays(panel, stays)
-            for now_ns, _ in faults:
-                panel.axvline((now_ns - start_ns) * 1e-9, color=VERMILION, linewidth=1.2)
+            for fault_s, _ in faults:
+                panel.axvline(fault_s, color=VERMILION, linewidth=1.2)
     panels[0, 0].legend(loc="best", fontsize=8)
     if faults:
-        figure.suptitle(_fault_text(faults[0][1]), color=VERMILION, fontsize=10)
+        figure.suptitle(_fault_text(faults[0][1]), color=VERMILION, fontsize=10, wrap=True, parse_math=False)
     elif title:
-        figure.suptitle(title, fontsize=10, wrap=True)
+        figure.suptitle(title, fontsize=10, wrap=True, parse_math=False)
     try:
         figure.savefig(path, format="png")
     except OSError as error:
@@ -74,17 +82,27 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
         raise RecordingError(f"{path}: the plot cannot be written: {error.strerror}") from None
 
 
-def _draw_axis(upper: Axes, lower: Axes, rows: Rows, start_ns: int, unit: str) -> None:
-    times_s = (rows["time_ns"] - start_ns) * 1e-9
-    upper.step(times_s, rows["setpoint"], where="post", color="black", linewidth=1.0, label="setpoint")
-    upper.plot(times_s, rows["position"], color=BLUE, linewidth=1.4, label="position")
-    upper.set_ylabel(f"position ({unit})")
-    lower.step(times_s, rows["command_v"], where="post", color=GREEN, linewidth=1.0)
+def _draw_axis(upper: Axes, lower: Axes, axis: AxisTable, start_s: float) -> None:
+    times_s = axis.time_s - start_s
+    upper.step(times_s, axis.setpoint, where="post", color="black", linewidth=1.0, label="setpoint")
+    upper.plot(times_s, axis.position, color=BLUE, linewidth=1.4, label="position")
+    upper.set_ylabel(f"position ({axis.unit})", parse_math=False)
+    lower.step(times_s, axis.command_v, where="post", color=GREEN, linewidth=1.0)
     lower.set_ylabel("valve voltage (V)")
     lower.set_xlabel("time (s)")
     for panel in (upper, lower):
         panel.grid(True, linewidth=0.4, alpha=0.5)
         panel.margins(x=0.0, y=0.1)
+    _widen(upper, MIN_POSITION_SPAN.get(axis.unit, 0.0))
+    _widen(lower, MIN_VALVE_SPAN_V)
+
+
+def _widen(panel: Axes, min_span: float) -> None:
+    """Extend the range of the panel to ``min_span`` around its middle."""
+    low, high = panel.get_ylim()
+    missing = min_span - (high - low)
+    if missing > 0.0:
+        panel.set_ylim(low - missing / 2, high + missing / 2)
 
 
 def _shade_stays(panel: Axes, stays: list[_Stay]) -> None:
@@ -96,7 +114,7 @@ def _shade_stays(panel: Axes, stays: list[_Stay]) -> None:
 
 
 def _label_stays(panel: Axes, stays: list[_Stay]) -> None:
-    """Name each state that there is room for."""
+    """Label the states whose area is wider than the label."""
     whole_s = stays[-1].to_s - stays[0].from_s
     for state, from_s, to_s in stays:
         if (to_s - from_s) * PANEL_WIDTH_IN > LABEL_IN_PER_LETTER * len(state) * whole_s:
@@ -106,13 +124,13 @@ def _label_stays(panel: Axes, stays: list[_Stay]) -> None:
             )  # fmt: skip
 
 
-def _event_marks(recording: Recording, start_ns: int) -> list[tuple[float, str]]:
-    """What happened to a simulated arm: seconds of the plot's time, and its name."""
+def _event_marks(recording: Recording, start_s: float) -> list[tuple[float, str]]:
+    """Return the times and names of the planned events of a simulated arm."""
     planned = recording.metadata.get(ARM_EVENTS, {})
-    samples_ns = recording.times_received(TPDO1_ADC)
-    if not planned or len(samples_ns) == 0:
+    samples = recording.frames("received", TPDO1_ADC)
+    if not planned or len(samples) == 0:
         return []
-    first_s = (int(samples_ns[0]) - start_ns) * 1e-9
+    first_s = float(samples.time_s[0]) - start_s
     at_once: dict[float, list[str]] = {}
     for text, at_s in planned.items():
         at_once.setdefault(first_s + float(at_s), []).append(text.partition("@")[0])
@@ -120,7 +138,7 @@ def _event_marks(recording: Recording, start_ns: int) -> list[tuple[float, str]]
 
 
 def _mark_events(upper: Axes, lower: Axes, marks: list[tuple[float, str]]) -> None:
-    """A thin line through both panels, and the name on its inner side, where it lies within the run."""
+    """Draw a thin line through both panels for each event within the run, with its name at the inner side."""
     first_s, last_s = upper.get_xlim()
     for at_s, text in marks:
         if not first_s <= at_s <= last_s:
@@ -131,7 +149,7 @@ def _mark_events(upper: Axes, lower: Axes, marks: list[tuple[float, str]]) -> No
         upper.annotate(
             text, (at_s, 0.02), xycoords=upper.get_xaxis_transform(), rotation=90, fontsize=6, color=GREY,
             xytext=(3 if is_early else -3, 0), textcoords="offset points", va="bottom",
-            ha="left" if is_early else "right", zorder=1.0,
+            ha="left" if is_early else "right", zorder=1.0, parse_math=False,
         )  # fmt: skip
 
 
@@ -139,14 +157,8 @@ def _fault_text(fault: LogEntry) -> str:
     return f"fault: {fault.source}: {fault.text}"
 
 
-def _start_ns(timing: Rows, names: dict[int, str]) -> int:
-    """When the first period began in which the controllers acted; without one, the first period."""
-    running = [value for value, name in names.items() if name == "running"]
-    return int(timing["wake_ns"][np.argmax(np.isin(timing["state"], running))])
-
-
-def _stays(timing: Rows, names: dict[int, str], start_ns: int) -> list[_Stay]:
-    states, times_s = timing["state"], (timing["wake_ns"] - start_ns) * 1e-9
+def _stays(timing: TimingTable, names: dict[int, str], start_s: float) -> list[_Stay]:
+    states, times_s = timing.state, timing.time_s - start_s
     entered = [0, *(np.flatnonzero(np.diff(states)) + 1)]
     left = [*entered[1:], len(states) - 1]
     return [

@@ -1,7 +1,7 @@
-"""What a run was worth, from its recording: step responses or tracking errors, and the timing of the loop.
+"""Sums up a run from its recording: step responses or tracking errors of the axes, timing of the loop.
 
 Overshoot, 2 % settling time and steady-state error as in Franklin, Powell, Emami-Naeini, Feedback Control of
-Dynamic Systems, sec. 3.4. No plotting here.
+Dynamic Systems, section 3.4. ``summary_table`` prints a summary.
 """
 
 from __future__ import annotations
@@ -13,121 +13,128 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.wire.codec import SYNC
-from hil.recording.mcap_reader import Rows
 from hil.recording.reader import Recording
+from hil.recording.tables import AxisTable, IntArray, TimingTable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.text import Text
 
-ASKED = "duration asked for, s"
-"""In the metadata of a recording's end."""
+REQUESTED_DURATION = "duration asked for, s"
+"""Key of the requested duration in the metadata ``ending``."""
 SETTLING_BAND = 0.02
-"""Of the step's size."""
+"""Settling tolerance as a part of the step's size."""
 STEADY_PART = 0.2
-"""The last part of what follows the step, over which the steady-state error is averaged."""
-CONSTANT_PERIODS = 5
-"""A change of the setpoint is a step when it was constant for so long before."""
+"""Last part of the response over which the steady-state error is averaged."""
+MIN_CONSTANT_PERIODS = 5
+"""A change of the setpoint is a step only with a constant setpoint for this many periods on either side."""
+MAX_INITIAL_ERROR = 0.1
+"""A change of the setpoint is a step only if the error before it was at most this part of its size.
+
+Otherwise the axis was still on its way to an earlier setpoint, as in a fast ladder or a random excitation,
+and the readings would mix two responses.
+"""
 
 
 @dataclass(frozen=True)
 class StepResponse:
-    """The response to the last step of the setpoint; positions in ``unit``."""
+    """The response to the last step of the setpoint. Positions and errors are in ``unit``."""
 
     unit: str
     step_from: float
     step_to: float
     overshoot_percent: float
-    """Of the step's size."""
+    """Largest deviation beyond ``step_to``, in per cent of the step's size."""
     settling_s: float | None
-    """From the step to when the position stays within 2 % of it; None: it did not."""
+    """Time from the step until the position stays within 2 % of the step's size; None if it does not."""
     steady_state_error: float
-    """Mean of setpoint minus position over the last fifth after the step."""
-    lowest_valve_v: float
-    highest_valve_v: float
+    """Mean of setpoint minus position over the last fifth of the response."""
+    min_valve_v: float
+    max_valve_v: float
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """How well a setpoint that does not step was followed; errors in ``unit``."""
+    """The errors with a setpoint other than a step from rest. Errors are in ``unit``."""
 
     unit: str
     rms_error: float
-    largest_error: float
-    """The largest magnitude."""
-    lowest_valve_v: float
-    highest_valve_v: float
+    max_error: float
+    """Largest magnitude of the error."""
+    min_valve_v: float
+    max_valve_v: float
 
 
 @dataclass(frozen=True)
 class Quantiles:
-    """Observed values, in microseconds; 0 where there were none."""
+    """Quantiles of observed durations in microseconds."""
 
     p50_us: float
     p99_us: float
     p99_9_us: float
-    worst_us: float
+    max_us: float
 
 
 @dataclass(frozen=True)
 class Summary:
-    """One run."""
+    """Figures of one run. Counts that the recording does not have are None."""
 
     axes: dict[str, StepResponse | Tracking]
-    """Axes that were controlled, in the rig file's order."""
-    lateness: Quantiles
-    """When the core was called after its deadline."""
-    response: Quantiles
-    """From when SYNC had left to when the command had, in periods with a good sample."""
+    """Figures of the axes that were controlled, in the rig file's order."""
+    lateness: Quantiles | None
+    """Time from each deadline to the call of the core; None without a period."""
+    response: Quantiles | None
+    """Time from SYNC to the command, both as taken by the link; None without a good sample."""
     periods: int
+    bring_up_periods: int
+    """Number of periods before the boards were up. A missing sample in them is not a loss."""
     missed_periods: int
-    """Deadlines that passed before the core was called."""
+    """Number of periods whose deadline passed before the core was called."""
     periods_without_sample: int
+    """Number of periods without a good sample after the boards were up."""
     frames_received: int
     frames_sent: int
     frames_dropped: int | None
-    """Received by this machine and lost in it, since the loop did not take them in time. None: not known."""
+    """Number of frames that the kernel dropped because the loop did not take them in time."""
     frames_unreadable: int | None
-    """Discarded by the link, since they were no sound classic frames."""
+    """Number of frames that the link discarded: not classic CAN, or corrupt."""
     frames_not_sent: int | None
-    """Refused by the bus, whose queue was full."""
+    """Number of frames that the bus refused because its queue was full."""
     frames_rejected: int | None
-    """Received, and no good sample, heartbeat or emergency."""
+    """Number of received frames that were rejected as sample, heartbeat or emergency message."""
     samples_lost: int | None
-    """Missing by the ADC board's counter."""
+    """Number of samples that are missing according to the ADC board's counter."""
     error_frames: int | None
-    """Reported by the bus."""
+    """Number of error frames that the bus reported."""
     messages_dropped: int
-    """Not recorded, because the recorder process fell behind or ended."""
+    """Number of messages that were not recorded, because the recorder process was too slow or ended."""
     complete: bool
-    """Whether the recording was ended properly."""
+    """True if the recording was ended properly."""
     ending: str
-    """Why the run ended; empty where that is not known."""
+    """Reason for the end of the run; empty if the recording does not have it."""
     controlled_s: float
-    """For how long the controllers acted."""
-    asked_s: float | None
-    """For how long they were to act."""
+    """Time during which the controllers acted."""
+    requested_s: float | None
+    """Time during which the controllers were to act."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for machines; keys carry the units."""
+        """Return plain values for other programs; the keys carry the units."""
         return asdict(self)
 
     def table(self) -> RenderableType:
-        """For the terminal."""
-        return _rendered(self)
+        """Return the tables and notes for the terminal."""
+        from hil.views.summary_table import render
+
+        return render(self)
 
 
 def summarise(recording: Recording) -> Summary:
-    """Sum up ``recording``. Raises RecordingError when it lacks the loop's channels."""
+    """Sum up ``recording``. Raises RecordingError when it lacks the channels of the loop."""
     timing = recording.timing()
     counts = recording.counts
-    fresh = timing[timing["fresh"]]
-    skipped = int(np.sum(np.diff(timing["number"]) - 1))
-    axes = {
-        name: _axis_summary(recording.axis(name), unit, recording) for name, unit in recording.axes.items()
-    }
+    bring_up_periods = _bring_up_periods(timing, recording.state_names)
+    axes = {name: _axis_summary(recording.axis(name)) for name in recording.axes}
     ending = recording.metadata.get("ending", {})
-    under_control = running_rows(timing, recording)[1:]
+    controlled = timing[_controlled(timing)][1:]
     dropped, unreadable, not_sent, rejected, lost, error_frames = (
         int(ending[key]) if ending.get(key, "").isdecimal() else None
         for key in (
@@ -141,11 +148,12 @@ def summarise(recording: Recording) -> Summary:
     )
     return Summary(
         axes={name: summary for name, summary in axes.items() if summary is not None},
-        lateness=_quantiles(timing["wake_ns"] - timing["deadline_ns"]),
-        response=_quantiles(_response_ns(fresh, recording.times_sent(SYNC))),
+        lateness=_quantiles(timing.wake_ns - timing.deadline_ns),
+        response=_quantiles(_response_ns(timing[timing.fresh], recording.frames("sent", SYNC).time_ns)),
         periods=len(timing),
-        missed_periods=skipped,
-        periods_without_sample=len(timing) - len(fresh),
+        bring_up_periods=bring_up_periods,
+        missed_periods=int(np.sum(np.diff(timing.number) - 1)),
+        periods_without_sample=int(np.sum(~timing.fresh[bring_up_periods:])),
         frames_received=counts["/can/rx"],
         frames_sent=counts["/can/tx"],
         frames_dropped=dropped,
@@ -157,65 +165,75 @@ def summarise(recording: Recording) -> Summary:
         messages_dropped=recording.messages_dropped,
         complete=recording.complete,
         ending=ending.get("reason", ""),
-        controlled_s=float(np.ptp(under_control["deadline_ns"])) * 1e-9 if len(under_control) else 0.0,
-        asked_s=float(ending[ASKED]) if ASKED in ending else None,
+        controlled_s=float(np.ptp(controlled.deadline_ns)) * 1e-9 if len(controlled) else 0.0,
+        requested_s=float(ending[REQUESTED_DURATION]) if REQUESTED_DURATION in ending else None,
     )
 
 
-def _response_ns(fresh: Rows, sync_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """From the last SYNC before each sample to the period's command."""
-    last = np.searchsorted(sync_ns, fresh["receive_ns"], side="right") - 1
-    return np.asarray((fresh["sent_ns"] - sync_ns[last])[last >= 0], np.int64)
+def _bring_up_periods(timing: TimingTable, state_names: dict[int, str]) -> int:
+    """Return the number of periods before the gateway first left the state offline."""
+    offline = [value for value, name in state_names.items() if name == "offline"]
+    is_up = ~np.isin(timing.state, offline)
+    return int(np.argmax(is_up)) if is_up.any() else len(timing)
 
 
-def running_rows(rows: Rows, recording: Recording) -> Rows:
-    """The periods in which the controller acted, and the one before."""
-    states = [value for value, name in recording.state_names.items() if name == "running"]
-    running = np.flatnonzero(np.isin(rows["state"], states))
-    return rows[max(running[0] - 1, 0) : running[-1] + 1] if len(running) else rows[:0]
+def _response_ns(fresh: TimingTable, sync_ns: IntArray) -> IntArray:
+    """Return the times from the last SYNC before each sample to the period's command."""
+    last = np.searchsorted(sync_ns, fresh.receive_ns, side="right") - 1
+    has_sync = last >= 0
+    return np.asarray(fresh.sent_ns[has_sync] - sync_ns[last[has_sync]], np.int64)
 
 
-def _axis_summary(rows: Rows, unit: str, recording: Recording) -> StepResponse | Tracking | None:
-    rows = running_rows(rows, recording)
-    if len(rows) < 2:
+def _controlled(table: AxisTable | TimingTable) -> slice:
+    """Return the periods from the last one before the controllers acted to the last one in which they did."""
+    running = np.flatnonzero(table.running)
+    return slice(max(running[0] - 1, 0), running[-1] + 1) if len(running) else slice(0)
+
+
+def _axis_summary(axis: AxisTable) -> StepResponse | Tracking | None:
+    axis = axis[_controlled(axis)]
+    if len(axis) < 2:
         return None
-    step = _last_step(rows["setpoint"])
-    rows_under_control = rows[1:]
-    lowest_v = float(rows_under_control["command_v"].min())
-    highest_v = float(rows_under_control["command_v"].max())
+    controlled = axis[1:]
+    min_valve_v, max_valve_v = float(controlled.command_v.min()), float(controlled.command_v.max())
+    step = _last_step(axis)
     if step is None:
-        errors = rows_under_control["error"]
-        rms = float(np.sqrt(np.mean(errors**2)))
-        return Tracking(unit, rms, float(np.abs(errors).max()), lowest_v, highest_v)
-    before, after = float(rows["setpoint"][step - 1]), float(rows["setpoint"][step])
-    times_s = (rows["time_ns"][step:] - rows["time_ns"][step]) * 1e-9
-    deviation = (rows["position"][step:] - after) / (after - before)
-    steady = rows["error"][step:][-max(round(STEADY_PART * len(deviation)), 1) :]
+        rms = float(np.sqrt(np.mean(controlled.error**2)))
+        return Tracking(axis.unit, rms, float(np.abs(controlled.error).max()), min_valve_v, max_valve_v)
+    before, after = float(axis.setpoint[step - 1]), float(axis.setpoint[step])
+    times_s = (axis.time_ns[step:] - axis.time_ns[step]) * 1e-9
+    deviation = (axis.position[step:] - after) / (after - before)
+    steady = axis.error[step:][-max(round(STEADY_PART * len(deviation)), 1) :]
     return StepResponse(
-        unit=unit,
+        unit=axis.unit,
         step_from=before,
         step_to=after,
         overshoot_percent=100.0 * max(float(deviation.max()), 0.0),
         settling_s=_settling_s(times_s, deviation),
         steady_state_error=float(np.mean(steady)),
-        lowest_valve_v=lowest_v,
-        highest_valve_v=highest_v,
+        min_valve_v=min_valve_v,
+        max_valve_v=max_valve_v,
     )
 
 
-def _last_step(setpoint: npt.NDArray[np.float64]) -> int | None:
-    """Index of the first sample after the last step; None where the setpoint last moved otherwise.
+def _last_step(axis: AxisTable) -> int | None:
+    """Return the row in which the setpoint last changed, or None if that change is not a step from rest.
 
-    Sample 0 is from before the run, when the setpoint follows the position: going from there to where the
-    setpoint begins is a step only if it is no mere deviation of the position.
+    Row 0 is from before the controllers acted, when the setpoint follows the position. The change from there
+    to the first setpoint is a step only if it is more than a deviation of the position.
     """
+    setpoint = axis.setpoint
     changes = np.flatnonzero(np.diff(setpoint)) + 1
-    in_run = changes[changes > 1]
-    if len(in_run) == 0:
-        begins_elsewhere = abs(setpoint[1] - setpoint[0]) > 0.1 * abs(setpoint[1]) > 0.0
-        return 1 if begins_elsewhere else None
-    is_isolated = len(in_run) == 1 or in_run[-1] - in_run[-2] >= CONSTANT_PERIODS
-    return int(in_run[-1]) if is_isolated else None
+    controlled = changes[changes > 1]
+    if len(controlled) == 0:
+        starts_elsewhere = abs(setpoint[1] - setpoint[0]) > 0.1 * abs(setpoint[1]) > 0.0
+        return 1 if starts_elsewhere else None
+    last = int(controlled[-1])
+    before, after = last - (controlled[-2] if len(controlled) > 1 else -np.inf), len(axis) - last
+    was_constant = min(before, after) >= MIN_CONSTANT_PERIODS
+    size = abs(setpoint[last] - setpoint[last - 1])
+    was_at_rest = abs(axis.error[last - 1]) <= MAX_INITIAL_ERROR * size
+    return last if was_constant and was_at_rest else None
 
 
 def _settling_s(times_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64]) -> float | None:
@@ -226,78 +244,8 @@ def _settling_s(times_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.floa
     return float(times_s[first_inside]) if first_inside < len(times_s) else None
 
 
-def _quantiles(durations_ns: npt.NDArray[np.int64]) -> Quantiles:
+def _quantiles(durations_ns: IntArray) -> Quantiles | None:
     if len(durations_ns) == 0:
-        return Quantiles(0.0, 0.0, 0.0, 0.0)
+        return None
     values = np.percentile(durations_ns, [50.0, 99.0, 99.9, 100.0], method="inverted_cdf") * 1e-3
     return Quantiles(*(float(value) for value in values))
-
-
-def _rendered(summary: Summary) -> RenderableType:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Group
-    from rich.table import Table
-
-    steps = Table(
-        "axis",
-        "step",
-        "overshoot",
-        "2 %\nsettling",
-        "steady-state\nerror",
-        "valve",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    tracking = Table("axis", "RMS error", "largest error", "valve", box=SIMPLE_HEAD, pad_edge=False)
-    for name, axis in summary.axes.items():
-        unit = axis.unit
-        valve = f"{axis.lowest_valve_v:.2f}…{axis.highest_valve_v:.2f} V"
-        if isinstance(axis, StepResponse):
-            steps.add_row(
-                name,
-                f"{axis.step_from:.4g}→{axis.step_to:.4g} {unit}",
-                f"{axis.overshoot_percent:.2f} %",
-                "did not settle" if axis.settling_s is None else f"{axis.settling_s:.2f} s",
-                f"{1e3 * axis.steady_state_error:.2f} m{unit}",
-                valve,
-            )
-        else:
-            rms, largest = 1e3 * axis.rms_error, 1e3 * axis.largest_error
-            tracking.add_row(name, f"{rms:.2f} m{unit}", f"{largest:.2f} m{unit}", valve)
-    loop = Table("loop", "p50", "p99", "p99.9", "worst", box=SIMPLE_HEAD, pad_edge=False)
-    answered = summary.periods - summary.periods_without_sample
-    for name, quantiles, count in (
-        ("lateness", summary.lateness, summary.periods),
-        ("response", summary.response, answered),
-    ):
-        loop.add_row(name, *(f"{value:.0f} µs" if count else "–" for value in asdict(quantiles).values()))
-    counts = (
-        f"{summary.periods} periods, {summary.missed_periods} missed, "
-        f"{summary.periods_without_sample} without a sample; "
-        f"{summary.frames_received} frames received, {summary.frames_sent} sent"
-    )
-    tables = [table for table in (steps, tracking) if table.row_count]
-    notes = [] if summary.complete else ["The recording was cut off; this is what it holds."]
-    if summary.ending == "interrupted":
-        of = "" if summary.asked_s is None else f" of {summary.asked_s:g}"
-        notes.append(f"interrupted after {summary.controlled_s:.0f} s{of}")
-    return Group(*tables, loop, counts, _losses(summary), *notes)
-
-
-def _losses(summary: Summary) -> Text:
-    """What went missing, loudly; or that nothing did."""
-    from rich.text import Text
-
-    counted = (
-        (summary.frames_dropped, "frame", "dropped on arrival"),
-        (summary.frames_unreadable, "frame", "unreadable"),
-        (summary.frames_not_sent, "frame", "not sent"),
-        (summary.frames_rejected, "frame", "rejected"),
-        (summary.samples_lost, "sample", "lost"),
-        (summary.error_frames, "error frame", "on the bus"),
-        (summary.messages_dropped, "message", "not recorded"),
-    )
-    bad = [f"{count} {what}{'s' * (count > 1)} {how}" for count, what, how in counted if count]
-    if bad:
-        return Text(f"ATTENTION: {', '.join(bad)}", style="bold red")
-    return Text("nothing dropped, rejected or lost" if summary.complete else "")

@@ -1,6 +1,7 @@
-"""kill -9 of a run in real time: of everything, one second is lost at most; of the gateway alone, a batch.
+"""kill -9 of a run in real time: at most one second is lost, and a batch if only the gateway is killed.
 
-The test sits on the bus and counts the periods by their SYNC frames, so it knows what the gateway had done.
+The test listens on the bus and counts the periods by their SYNC frames. So it knows what the gateway had
+done.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from hil.core.wire import codec
 from hil.links import Link, open_link
 from hil.recording.reader import Recording
 
-LIMIT_S = 20.0
+TIMEOUT_S = 20.0
 
 
 class Run:
-    """``hil run`` and the boards as processes of their own, and a link that hears both."""
+    """``hil run`` and the boards as processes of their own, and a link that receives all their frames."""
 
     def __init__(self, gateway: subprocess.Popen[bytes], boards: subprocess.Popen[bytes], link: Link) -> None:
         self.gateway = gateway
@@ -40,17 +41,17 @@ class Run:
         self._periods = 0
 
     def until_period(self, number: int) -> None:
-        """Return when so many periods have begun."""
+        """Wait until ``number`` periods have begun."""
         while self._periods < number:
-            assert self._hear(LIMIT_S), "the gateway fell silent"
+            assert self._receive(TIMEOUT_S), f"no frame came within {TIMEOUT_S} s"
 
     def periods_after_death(self) -> int:
-        """All that were begun: what still waits on the bus is counted too."""
-        while self._hear(0.0):
+        """Return the number of periods that had begun, including those whose frames are still on the bus."""
+        while self._receive(0.0):
             pass
         return self._periods
 
-    def _hear(self, timeout_s: float) -> bool:
+    def _receive(self, timeout_s: float) -> bool:
         received = self._link.receive(timeout_s)
         if received is not None and received.frame.id == codec.SYNC:
             self._periods += 1
@@ -88,7 +89,7 @@ def running(path: Path) -> Iterator[Run]:
 
 
 def recorder_of(gateway: subprocess.Popen[bytes]) -> int:
-    """The recorder among the gateway's children."""
+    """Return the process id of the gateway's recorder."""
     (recorder,) = (
         child
         for child in children_of(gateway.pid)
@@ -98,7 +99,7 @@ def recorder_of(gateway: subprocess.Popen[bytes]) -> int:
 
 
 def wait_for_end_of(process_id: int) -> None:
-    """Return when a process that is not our child has ended."""
+    """Wait until a process has ended that is not a child of this one."""
     try:
         handle = os.pidfd_open(process_id)
     except ProcessLookupError:
@@ -108,7 +109,7 @@ def wait_for_end_of(process_id: int) -> None:
 
 
 @pytest.mark.parametrize("kill_at_period", [40, 200, 217, 234])
-def test_kill_of_everything_loses_one_second_at_most(tmp_path: Path, kill_at_period: int) -> None:
+def test_kill_of_every_process_loses_at_most_one_second(tmp_path: Path, kill_at_period: int) -> None:
     path = tmp_path / "run.mcap"
     with running(path) as run:
         run.until_period(kill_at_period)
@@ -128,7 +129,7 @@ def test_kill_of_everything_loses_one_second_at_most(tmp_path: Path, kill_at_per
 
 
 def messages_read_by_mcap(path: Path) -> int:
-    """What mcap's own reader gives before it stumbles over the torn end."""
+    """Return the number of messages that mcap's reader finds before it fails at the torn end."""
     count = 0
     with path.open("rb") as stream:
         try:
@@ -139,7 +140,7 @@ def messages_read_by_mcap(path: Path) -> int:
     return count
 
 
-def test_kill_of_the_gateway_alone_leaves_a_whole_file(tmp_path: Path) -> None:
+def test_kill_of_the_gateway_alone_leaves_a_complete_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with running(path) as run:
         run.until_period(100)

@@ -1,4 +1,4 @@
-"""Replay: all that the core gave comes out again; a changed byte, signal, event or document is found."""
+"""Replay: the core answers as recorded; a changed byte, signal, log entry or document is found."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hil.recording.schemas import AXIS_SIGNALS, CYCLE, layout_of
 from hil.shells.replay import verify
 
 DLC = -9
-"""Place of the data length in can_msgs/msg/Frame; eight bytes of data follow."""
+"""Offset of the data length in can_msgs/msg/Frame, from its end; eight bytes of data follow."""
 ARGUMENTS = ["run", "--lockstep", "--duration", "3"]
 SHORT = ["run", "--lockstep", "--linear", "--duration", "0.1", "--setpoint", "rotation=csv:table.csv"]
 
@@ -45,7 +45,7 @@ def rewritten(
     metadata: Callable[[str, dict[str, str]], dict[str, str]] = lambda _name, entries: entries,
     until: Callable[[Message], bool] = lambda _message: False,
 ) -> Path:
-    """A copy by mcap's own reader and writer, every CRC right, of what the functions make of the parts."""
+    """Copy a recording with the reader and writer of mcap, and change its parts; every CRC is right."""
     with source.open("rb") as original, target.open("wb") as file:
         reader = make_reader(original)
         writer = Writer(file, compression=CompressionType.ZSTD)
@@ -81,7 +81,7 @@ def rewritten(
 
 
 def nth(topic: str, number: int, change: Callable[[bytearray], None]) -> Callable[[Message], None]:
-    """Changes the n-th message of a topic, counted from 1; of frames, those of eight bytes."""
+    """Return a function that changes the n-th message of a topic, counted from 1. Frames: of eight bytes."""
     seen = Counter[str]()
 
     def at(message: Message) -> None:
@@ -127,10 +127,10 @@ def test_one_changed_byte_is_found(
 ) -> None:
     changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/can/tx", message, flip(byte)))
     assert main(["replay", "--verify", str(changed)]) == 1
-    told = capsys.readouterr().err
-    assert "different" in told
-    assert str(changed) in told
-    assert "the core sends" in told
+    error = capsys.readouterr().err
+    assert "different" in error
+    assert str(changed) in error
+    assert "the core sends" in error
 
 
 def test_changed_input_is_found(recorded: Path, tmp_path: Path) -> None:
@@ -143,9 +143,9 @@ AXIS_FIELDS = [
     field for field in layout_of(AXIS_SIGNALS.definition, "").fields if field.name not in ("header.frame_id",)
 ]
 CYCLE_FIELDS = [
-    field for field in layout_of(CYCLE.definition, "").fields if field.name not in ("computed", "sent")
+    field for field in layout_of(CYCLE.definition, "").fields if field.name not in ("computed_ns", "sent_ns")
 ]
-"""But what the shell says: when it had computed and sent."""
+"""All fields but those of the shell: when the core had answered, and when the link had taken it."""
 
 
 @pytest.mark.parametrize("field", AXIS_FIELDS, ids=lambda field: field.name)
@@ -160,9 +160,9 @@ def test_a_changed_signal_is_found(
 
     changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/axis/rotation", 200, change))
     assert main(["replay", "--verify", str(changed)]) == 1
-    told = capsys.readouterr().err
-    assert "recorded rotation " + ("stamp_ns" if name.startswith("header") else name) in told
-    assert "the core gives rotation" in told
+    error = capsys.readouterr().err
+    assert "recorded rotation " + ("stamp_ns" if name.startswith("header") else name) in error
+    assert "the core gives rotation" in error
 
 
 @pytest.mark.parametrize("field", CYCLE_FIELDS, ids=lambda field: field.name)
@@ -172,10 +172,10 @@ def test_a_changed_period_is_found(recorded: Path, tmp_path: Path, field: NamedT
     assert main(["replay", "--verify", str(changed)]) == 1
 
 
-def test_the_least_bit_of_a_sampled_position_is_found_and_rounding_of_a_law_is_not(
+def test_the_last_bit_of_a_sampled_position_is_compared_and_that_of_a_law_is_not(
     recorded: Path, tmp_path: Path
 ) -> None:
-    """Another machine's linear algebra may round a law otherwise; a sample is scaled alike on all."""
+    """Machines may round a law differently, but they scale a sample in the same way."""
     places = {name: offset for name, _, offset in AXIS_FIELDS}
     for name, status in (("position", 1), ("potentiometer_v", 1), ("output_v", 0), ("setpoint", 0)):
         change = nth("/axis/vertical", 200, flip(places[name]))
@@ -184,7 +184,7 @@ def test_the_least_bit_of_a_sampled_position_is_found_and_rounding_of_a_law_is_n
 
 
 @pytest.mark.parametrize("part", ["level", "name", "text"])
-def test_a_changed_event_is_found(
+def test_a_changed_log_entry_is_found(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], part: str
 ) -> None:
     def change(message: Message) -> None:
@@ -205,18 +205,28 @@ def test_a_recorded_deadline_that_is_not_the_cores_is_found(
     assert "recorded deadline" in capsys.readouterr().err
 
 
-def test_an_operators_command_that_is_none_is_found(
+def test_a_changed_command_of_the_operator_is_found(recorded: Path, tmp_path: Path) -> None:
+    """Text of the same length: start in place of reset."""
+
+    def change(data: bytearray) -> None:
+        data[8:13] = b"reset"
+
+    changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/operator", 2, change))
+    assert main(["replay", "--verify", str(changed)]) == 1
+
+
+def test_an_unknown_command_of_the_operator_is_refused(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/operator", 1, flip(8)))
-    assert main(["replay", "--verify", str(changed)]) == 1
-    assert "no operator's command" in capsys.readouterr().err
+    assert main(["replay", "--verify", str(changed)]) == 2
+    assert "cannot be read: '`rm' is not a command of the operator" in capsys.readouterr().err
 
 
-def test_a_recording_that_ends_before_the_core_had_said_all_is_different(
+def test_a_recording_that_ends_within_an_answer_of_the_core_is_different(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The last command is missing, and with it all that came after; no sequence tells."""
+    """The last command and everything after it is missing; no gap in the sequence shows it."""
     seen = Counter[str]()
 
     def until(message: Message) -> bool:
@@ -235,23 +245,23 @@ def test_a_recording_without_a_period_is_refused(
         recorded, tmp_path / "changed.mcap", until=lambda message: message.topic == "/gateway/deadline"
     )
     assert main(["replay", "--verify", str(changed)]) == 2
-    assert "changed.mcap: holds no period; there is nothing to replay" in capsys.readouterr().err
+    assert "changed.mcap: has no period; there is nothing to replay" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("place", "value"), [(12, 99), (20, 0xFF)])
-def test_a_message_that_cannot_be_read_is_told(
+def test_a_message_that_cannot_be_read_is_refused(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], place: int, value: int
 ) -> None:
-    """A level that there is not; a name that is no text."""
+    """A severity that does not exist; a name that is not UTF-8."""
 
     def change(data: bytearray) -> None:
         data[place] = value
 
     changed = rewritten(recorded, tmp_path / "changed.mcap", nth("/gateway/log", 2, change))
     assert main(["replay", "--verify", str(changed)]) == 2
-    told = capsys.readouterr().err
-    assert f"refused    {changed}: message " in told
-    assert "cannot be read" in told
+    error = capsys.readouterr().err
+    assert f"refused    {changed}: message " in error
+    assert "cannot be read" in error
 
 
 # The documents
@@ -259,7 +269,7 @@ def test_a_message_that_cannot_be_read_is_told(
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small file with every kind of record and of document."""
+    """A small recording with every kind of record and of document."""
     folder = tmp_path_factory.mktemp("short")
     (folder / "table.csv").write_text("time_s,setpoint\n0,0\n0.05,0.1\n")
     path = folder / "run.mcap"
@@ -282,7 +292,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_changed_document_is_refused_and_named(
     short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, before: bytes, after: bytes
 ) -> None:
-    """With a right CRC, as an editor of recordings writes it; even where replay would find no difference."""
+    """The CRC is right, and some of these changes would not show in the replay."""
 
     def change(attachment: str, data: bytes) -> bytes:
         assert attachment != name or before in data
@@ -290,9 +300,9 @@ def test_a_changed_document_is_refused_and_named(
 
     changed = rewritten(short, tmp_path / "changed.mcap", attachments=change)
     assert main(["replay", "--verify", str(changed)]) == 2
-    told = capsys.readouterr().err
-    assert str(changed) in told
-    assert f"the attachment {name} was changed" in told
+    error = capsys.readouterr().err
+    assert str(changed) in error
+    assert f"the attachment {name} was changed" in error
 
 
 def test_a_missing_document_is_named(short: Path, tmp_path: Path) -> None:
@@ -304,7 +314,7 @@ def test_a_missing_document_is_named(short: Path, tmp_path: Path) -> None:
 
 
 def test_a_changed_setpoint_is_refused(short: Path, tmp_path: Path) -> None:
-    """Far in the future, so that no period of the recording tells."""
+    """The step lies after the end of the recording, so that no signal differs."""
 
     def change(name: str, entries: dict[str, str]) -> dict[str, str]:
         return entries | {"vertical": "step:0.1@9"} if name == "setpoints" else entries
@@ -314,7 +324,7 @@ def test_a_changed_setpoint_is_refused(short: Path, tmp_path: Path) -> None:
 
 
 def test_every_changed_byte_of_a_file_is_found(short: Path, tmp_path: Path) -> None:
-    """Whichever record it is in; none is left out, since CRCs cover all but themselves."""
+    """CRCs cover every byte of every record except themselves."""
     content = short.read_bytes()
     kinds = kinds_of_records(content)
     changed = tmp_path / "changed.mcap"
@@ -330,7 +340,7 @@ def test_every_changed_byte_of_a_file_is_found(short: Path, tmp_path: Path) -> N
 
 
 def kinds_of_records(content: bytes | bytearray) -> list[str]:
-    """What each byte of a file belongs to."""
+    """Return the kind of record of each byte of a file."""
     kinds = ["magic"] * len(MCAP0_MAGIC)
     while len(kinds) < len(content) - len(MCAP0_MAGIC):
         opcode, length = struct.unpack_from("<BQ", content, len(kinds))
@@ -352,7 +362,7 @@ def kinds_of_records(content: bytes | bytearray) -> list[str]:
         ("CHUNK head", "damaged"),
     ],
 )
-def test_damage_is_told_in_words(
+def test_damage_is_described(
     short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, words: str
 ) -> None:
     content = bytearray(short.read_bytes())
@@ -362,14 +372,14 @@ def test_damage_is_told_in_words(
     changed = tmp_path / "changed.mcap"
     changed.write_bytes(content)
     assert main(["replay", "--verify", str(changed)]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(f"refused    {changed}: ")
-    assert words in told
-    assert told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"refused    {changed}: ")
+    assert words in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("cut", [0.5, 0.9, -1, -7, -8, -9, -30])
-def test_a_file_that_was_cut_off_is_verified_as_far_as_it_goes(
+def test_a_file_that_was_cut_off_is_verified_up_to_its_end(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: float
 ) -> None:
     content = recorded.read_bytes()
@@ -395,12 +405,14 @@ def test_one_bad_file_does_not_hide_the_next(
     short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", "--verify", str(tmp_path / "none.mcap"), str(short)]) == 2
-    told = capsys.readouterr()
-    assert "none.mcap: cannot be read: No such file" in told.err
-    assert "identical" in told.out
+    output = capsys.readouterr()
+    assert "none.mcap: cannot be read: No such file" in output.err
+    assert "identical" in output.out
 
 
-def test_what_is_no_recording_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_is_not_a_recording_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     empty = tmp_path / "notes.txt"
     empty.write_text("hello")
     assert main(["replay", "--verify", str(empty)]) == 2

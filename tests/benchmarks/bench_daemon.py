@@ -115,7 +115,7 @@ def bench_start(folder: Path) -> None:
         command = [sys.executable, "-m", "hil.cli", "run", "--duration", "0.1", "--record", str(path)]
         subprocess.run(command, check=True, capture_output=True)
         run = Recording(path)
-        taken_s.append((run.times_sent(codec.SYNC)[0] + run.epoch_offset_ns - began_ns) * 1e-9)
+        taken_s.append((run.frames("sent", codec.SYNC).time_ns[0] + run.epoch_offset_ns - began_ns) * 1e-9)
     print(f"hil run, from the command to the first SYNC: {min(taken_s):.2f} to {max(taken_s):.2f} s")
 
 

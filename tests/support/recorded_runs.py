@@ -13,7 +13,7 @@ from unittest import mock
 import msgspec
 
 from hil.core.frames import Frame
-from hil.core.life_cycle import LifeCycleState
+from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
 from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, RunHeader
 from hil.recording.mcap_writer import McapWriter
@@ -38,11 +38,11 @@ CENTRED = AxisSignals(0.0, 0.0, 0.0, 0.0, 5.0, 5.0)
 SYNC = Frame(0x080)
 
 Signals = Callable[[float], AxisSignals]
-"""An axis' signals at t seconds of the run."""
+"""Function that returns an axis' signals at t seconds of the run."""
 
 
 def following(setpoint: Callable[[float], float], position: Callable[[float], float]) -> Signals:
-    """An axis whose position is known; the valve leaves its centre by ten volts a unit of error."""
+    """Return the signals of an axis with a given position and a proportional controller of 10 V per unit."""
 
     def at(t: float) -> AxisSignals:
         r, y = setpoint(t), position(t)
@@ -56,7 +56,7 @@ def step(size: float, at_s: float) -> Callable[[float], float]:
 
 
 def lag(size: float, at_s: float, tau_s: float) -> Callable[[float], float]:
-    """First order: settles to 2 % in tau ln 50, never overshoots."""
+    """Return the step response of a first-order lag: it settles to 2 % in tau ln 50 and never overshoots."""
     return lambda t: size * -math.expm1(-max(t - at_s, 0.0) / tau_s)
 
 
@@ -75,11 +75,12 @@ def record_periods(
     response_ns: Callable[[int], int] = lambda number: 400_000,
     sync_ns: int = 0,
 ) -> list[LogEntry]:
-    """Report periods as a live shell does, all axes with the same signals; returns the recorder's news.
+    """Record periods as a live shell does, with the same signals on all axes.
 
-    ``lateness_ns``: deadline to wake-up; ``sync_ns``, ``response_ns``: from there to SYNC, to the command.
+    ``lateness_ns``: time from deadline to wake-up; ``sync_ns``, ``response_ns``: time from wake-up to SYNC
+    and to the command. Returns the log entries of the recorder.
     """
-    news = []
+    log = []
     for number in range(first, first + periods):
         deadline_ns = START_NS + number * PERIOD_NS
         wake_ns = deadline_ns + lateness_ns(number)
@@ -93,41 +94,44 @@ def record_periods(
         same = (signals(number * PERIOD_S),) * axes
         cycle = Cycle(number, deadline_ns, wake_ns, receive_ns, state, True, same)
         recorder.cycle(cycle, receive_ns + 50_000, sent_ns)
-        event = recorder.hand_over()
-        if event is not None:
-            news.append(event)
-    return news
+        entry = recorder.hand_over()
+        if entry is not None:
+            log.append(entry)
+    return log
 
 
 def record_run(
     path: Path, periods: int, signals: Signals = TENTH_STEP, header: RunHeader = RUN_HEADER
 ) -> None:
-    """A whole run in memory: three periods armed, ``periods`` running, three armed."""
+    """Record a run in memory: three periods armed, ``periods`` running, three armed, then the link fails."""
     with in_memory(path):
         recorder = Recorder(path, header, lossless=True)
-    recorder.operated("start", START_NS - 4 * PERIOD_NS)
+    recorder.operated(Trigger.START, START_NS - 4 * PERIOD_NS)
     record_periods(recorder, 3, lambda t: CENTRED, first=-3, state=LifeCycleState.ARMED)
     recorder.log_entry(LogEntry(Severity.INFO, "life cycle", "armed -> running (start)"), START_NS)
     record_periods(recorder, periods, signals)
-    recorder.operated("stop", START_NS + periods * PERIOD_NS)
+    recorder.operated(Trigger.STOP, START_NS + periods * PERIOD_NS)
     record_periods(recorder, 3, lambda t: CENTRED, first=periods, state=LifeCycleState.ARMED)
+    end_ns = START_NS + (periods + 3) * PERIOD_NS
+    recorder.frame_refused(SYNC, end_ns)
+    recorder.link_failed("Network is down", end_ns)
     recorder.close({"ending": {"reason": "completed"}})
 
 
 def in_memory(path: Path) -> mock._patch[Callable[..., _WriterPipe]]:
-    """Within this, recorders write to ``path`` themselves when closed: the same bytes, without a process."""
+    """Let recorders write to ``path`` themselves when they are closed: the same bytes, without a process."""
     return mock.patch("hil.recording.recorder.RecorderPipe", _WriterPipe)
 
 
 class _WriterPipe:
-    """Stands for :class:`hil.recording.pipe.RecorderPipe`."""
+    """Stand-in for :class:`hil.recording.pipe.RecorderPipe`."""
 
     has_backlog = False
     failure = None
 
     def __init__(self, path: Path, lossless: bool) -> None:
         self.dropped: Counter[int] = Counter()
-        self.news: list[LogEntry] = []
+        self.log: list[LogEntry] = []
         self._path = path
         self._written: list[bytes] = []
 
@@ -149,14 +153,14 @@ class _WriterPipe:
 
 
 def children_of(process_id: int) -> Sequence[int]:
-    """Process ids of the children."""
+    """Return the process ids of the children."""
     return [int(text) for text in Path(f"/proc/{process_id}/task/{process_id}/children").read_text().split()]
 
 
 def wait_until(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
-    """Return as soon as ``condition`` holds; fail when it does not within ``timeout_s``."""
+    """Wait until ``condition`` holds; fail when it does not within ``timeout_s``."""
     deadline_s = monotonic() + timeout_s
     waiter = Waiter()
     while not condition():
-        assert monotonic() < deadline_s, f"{what} did not come about within {timeout_s} s"
+        assert monotonic() < deadline_s, f"{what}: not within {timeout_s} s"
         waiter.wait(0.01)

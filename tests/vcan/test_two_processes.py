@@ -27,7 +27,8 @@ from hil.core.foreign_frames import OWN_IDENTIFIERS
 from hil.core.output import Severity
 from hil.core.rig import read_rig
 from hil.core.wire import codec
-from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Recording
+from hil.recording.entries import DeadlineCalled, FrameReceived, FrameSent
+from hil.recording.reader import Recording
 from hil.shells.replay import verify
 
 pytestmark = pytest.mark.vcan
@@ -178,7 +179,7 @@ def test_a_run_of_ten_seconds_with_three_axes(
     candump.up_to_now()
 
     recording = Recording(recording_path)
-    calls = list(recording.calls())
+    calls = list(recording.entries())
     sent, received = (
         [(call.frame.id, call.frame.data) for call in calls if isinstance(call, kind)]
         for kind in (FrameSent, FrameReceived)
@@ -249,12 +250,12 @@ def test_killed_boards_are_a_fault_of_the_gateway(
     assert f"limit {STALE_PERIODS} (rig: adc.stale_after_periods)" in fault.text
     last_sample_ns = max(
         call.now_ns
-        for call in recording.calls()
+        for call in recording.entries()
         if isinstance(call, FrameReceived) and call.frame.id == codec.TPDO1_ADC
     )
     assert (now_ns - last_sample_ns) * 1e-9 <= (STALE_PERIODS + 1) * PERIOD_S + STALL_S
-    calls = [call for call in recording.calls() if isinstance(call, DeadlineCalled)]
-    assert calls[-1].now_ns > now_ns, "the gateway continued with centred commands"
+    calls = [call for call in recording.entries() if isinstance(call, DeadlineCalled)]
+    assert calls[-1].now_ns > now_ns, "the gateway went on to send centred commands"
     centred = [data for _, identifier, data in candump.up_to_now() if identifier == codec.RPDO1_DAC]
     assert codec.decode_rpdo1_dac(centred[-1])[:3] == CENTRED
     assert verify(recording).frames_compared > 0

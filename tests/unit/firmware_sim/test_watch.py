@@ -15,14 +15,14 @@ class RecordedViews:
     def __init__(self) -> None:
         self.views: list[dict[str, object]] = []
 
-    def tell(self, message: dict[str, object]) -> None:
+    def send(self, message: dict[str, object]) -> None:
         self.views.append(message)
 
 
 @pytest.fixture
 def shown(monkeypatch: pytest.MonkeyPatch) -> RecordedViews:
     shown = RecordedViews()
-    monkeypatch.setattr("firmware_sim.watch.Onlooker", lambda _module: shown)
+    monkeypatch.setattr("firmware_sim.watch.DisplayProcess", lambda _module: shown)
     return shown
 
 

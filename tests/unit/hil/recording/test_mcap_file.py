@@ -1,4 +1,4 @@
-"""The file as readers see it that nobody here wrote: mcap's own, mcap-ros2-support and rosbags."""
+"""The recording through other readers: those of mcap, mcap-ros2-support and rosbags."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ PERIODS = 400
 TOPICS = {
     "/can/rx": "can_msgs/msg/Frame",
     "/can/tx": "can_msgs/msg/Frame",
+    "/can/refused": "can_msgs/msg/Frame",
     "/gateway/deadline": "hil_msgs/msg/Deadline",
     "/gateway/cycle": "hil_msgs/msg/Cycle",
     "/gateway/operator": "std_msgs/msg/String",
+    "/gateway/link_failure": "std_msgs/msg/String",
     "/gateway/log": "rcl_interfaces/msg/Log",
     "/axis/vertical": "hil_msgs/msg/AxisSignals",
     "/axis/horizontal": "hil_msgs/msg/AxisSignals",
@@ -47,7 +49,7 @@ def test_the_profile_is_ros2(reader: McapReader) -> None:
     assert reader.get_header().profile == "ros2"
 
 
-def test_configuration_stands_before_the_first_message(path: Path) -> None:
+def test_the_configuration_comes_before_the_first_message(path: Path) -> None:
     with path.open("rb") as stream:
         records = list(StreamReader(stream, emit_chunks=True, validate_crcs=True).records)
     first_chunk = next(place for place, record in enumerate(records) if isinstance(record, Chunk))
@@ -75,14 +77,14 @@ def test_chunks_are_short_in_time_and_size(path: Path) -> None:
         assert chunk.uncompressed_size < 2 * 64 * 1024
 
 
-def test_statistics_count_what_is_there(reader: McapReader) -> None:
+def test_the_statistics_match_the_contents(reader: McapReader) -> None:
     summary = reader.get_summary()
     assert summary is not None
     assert summary.statistics is not None
     messages = list(reader.iter_messages())
     times = [message.log_time for _, _, message in messages]
     statistics = summary.statistics
-    assert statistics.message_count == len(messages) == (PERIODS + 6) * 8 + 3
+    assert statistics.message_count == len(messages) == (PERIODS + 6) * 8 + 5
     assert statistics.channel_message_counts == Counter(channel.id for _, channel, _ in messages)
     assert (statistics.message_start_time, statistics.message_end_time) == (min(times), max(times))
     assert statistics.chunk_count == len(summary.chunk_indexes)
@@ -116,7 +118,7 @@ def test_message_indexes_point_at_their_messages(path: Path) -> None:
 
 
 def _message_offsets(chunk: Chunk) -> dict[int, tuple[int, int]]:
-    """Offset of each message record to its channel and log time, by the sizes of what comes before it."""
+    """Return channel and log time of each message record, by its offset."""
     found = {}
     builder = RecordBuilder()
     for record in records_in(chunk, validate_crc=True):
@@ -146,7 +148,7 @@ def test_order_without_an_index(path: Path) -> None:
     assert [message.sequence for message in messages] == list(range(1, len(messages) + 1))
 
 
-def test_mcap_ros2_support_decodes_it(reader: McapReader) -> None:
+def test_mcap_ros2_support_decodes_every_topic(reader: McapReader) -> None:
     decoded = {topic: [] for topic in TOPICS}
     for _, channel, message, content in reader.iter_decoded_messages():
         decoded[channel.topic].append((message, content))
@@ -165,15 +167,17 @@ def test_mcap_ros2_support_decodes_it(reader: McapReader) -> None:
     assert (axis.state, axis.fresh) == (3, True)
     message, cycle = decoded["/gateway/cycle"][3]
     assert cycle.number == 0
-    assert cycle.deadline == START_NS
-    assert message.log_time == cycle.sent + EPOCH_OFFSET_NS
-    ((_, event),) = decoded["/gateway/log"]
-    assert (event.level, event.name, event.msg) == (20, "life cycle", "armed -> running (start)")
-    assert (event.file, event.function, event.line) == ("", "", 0)
+    assert cycle.deadline_ns == START_NS
+    assert message.log_time == cycle.sent_ns + EPOCH_OFFSET_NS
+    ((_, entry),) = decoded["/gateway/log"]
+    assert (entry.level, entry.name, entry.msg) == (20, "life cycle", "armed -> running (start)")
+    assert (entry.file, entry.function, entry.line) == ("", "", 0)
     assert [content.data for _, content in decoded["/gateway/operator"]] == ["start", "stop"]
+    assert [content.data for _, content in decoded["/gateway/link_failure"]] == ["Network is down"]
+    assert [content.id for _, content in decoded["/can/refused"]] == [0x080]
 
 
-def test_rosbags_reads_it(path: Path) -> None:
+def test_rosbags_reads_every_topic(path: Path) -> None:
     with AnyReader([path]) as bag:
         assert {c.topic: c.msgtype for c in bag.connections} == TOPICS
         counts = {c.topic: c.msgcount for c in bag.connections}

@@ -1,4 +1,4 @@
-"""The recorder and its process: what gets into the file, and what happens when it cannot."""
+"""The recorder and its process: the contents of the file, and failures."""
 
 from __future__ import annotations
 
@@ -27,15 +27,27 @@ from support.recorded_runs import (
 
 from hil.core.errors import RecordingError
 from hil.core.frames import Frame
+from hil.core.life_cycle import Trigger
 from hil.core.output import LogEntry, Severity
 from hil.recording import pipe
-from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
-from hil.recording.recorder import BATCH_BYTES, LINK_FAILED, Recorder, RecorderReport
+from hil.recording.entries import (
+    DeadlineCalled,
+    FrameReceived,
+    FrameRefused,
+    FrameSent,
+    LinkFailed,
+    Logged,
+    Operated,
+)
+from hil.recording.reader import Recording
+from hil.recording.recorder import BATCH_BYTES, Recorder, RecorderReport
+
+UNUSED_TOPICS = ("/gateway/log", "/gateway/operator", "/gateway/link_failure", "/can/refused")
 
 
 @contextmanager
 def recorder_process(path: Path, *, lossless: bool) -> Iterator[tuple[Recorder, int]]:
-    """A recorder, and the id of its process, which does not outlive the test."""
+    """Yield a recorder and the id of its process, which ends with the test."""
     before = set(children_of(os.getpid()))
     recorder = Recorder(path, RUN_HEADER, lossless)
     (process_id,) = set(children_of(os.getpid())) - before
@@ -47,7 +59,7 @@ def recorder_process(path: Path, *, lossless: bool) -> Iterator[tuple[Recorder, 
             recorder.close({})
 
 
-def test_what_is_reported_comes_back(tmp_path: Path) -> None:
+def test_all_calls_and_answers_can_be_read_back(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     recorder = Recorder(path, RUN_HEADER, lossless=False)
     received = Frame(0x190, b"\x01\x02\x03\x04\x05\x06\x07")
@@ -56,37 +68,42 @@ def test_what_is_reported_comes_back(tmp_path: Path) -> None:
         Frame(0x701, is_remote=True),
         Frame(0x04, bytes(8), is_error=True),
     ]
-    recorder.operated("arm", START_NS)
+    entry = LogEntry(Severity.FATAL, "adc", "no good sample for 3 periods — limit 3")
+    recorder.operated(Trigger.ARM, START_NS)
     recorder.deadline_called(START_NS + 1, START_NS + 2)
     recorder.frame_sent(SYNC, START_NS + 3)
     recorder.frame_received(received, START_NS + 5, EPOCH_OFFSET_NS + START_NS + 4)
     for frame in unusual:
         recorder.frame_received(frame, START_NS + 6, EPOCH_OFFSET_NS + START_NS + 6)
-    recorder.log_entry(
-        LogEntry(Severity.FATAL, "adc", "no good sample for 3 periods — limit 3"), START_NS + 7
-    )
-    recorder.operated(LINK_FAILED + "Network is down", START_NS + 8)
+    recorder.log_entry(entry, START_NS + 7)
+    recorder.frame_refused(unusual[0], START_NS + 8)
+    recorder.link_failed("Network is down", START_NS + 9)
     report = recorder.close({"ending": {"reason": "link"}})
 
     recording = Recording(path)
-    assert report == RecorderReport(9, {}, path, None)
+    assert report == RecorderReport(10, {}, path, None)
     assert recording.complete
-    assert list(recording.calls()) == [
-        Operated(START_NS, "arm"),
+    assert list(recording.entries()) == [
+        Operated(START_NS, Trigger.ARM),
         DeadlineCalled(START_NS + 2, START_NS + 1),
         FrameSent(START_NS + 3, SYNC),
         FrameReceived(START_NS + 5, received, EPOCH_OFFSET_NS + START_NS + 4),
         *(FrameReceived(START_NS + 6, frame, EPOCH_OFFSET_NS + START_NS + 6) for frame in unusual),
-        Operated(START_NS + 8, "link failed: Network is down"),
+        Logged(START_NS + 7, entry),
+        FrameRefused(START_NS + 8, unusual[0]),
+        LinkFailed(START_NS + 9, "Network is down"),
     ]
-    assert recording.log() == [
-        (START_NS + 7, LogEntry(Severity.FATAL, "adc", "no good sample for 3 periods — limit 3"))
-    ]
+    assert recording.log() == [(START_NS + 7, entry)]
     assert recording.attachments == {name: content for name, (_, content) in RUN_HEADER.attachments.items()}
     assert recording.metadata == RUN_HEADER.metadata | {
-        "recording": {"epoch_offset_ns": str(EPOCH_OFFSET_NS), "bus": "vcan0", "stamp_origin": "kernel"},
+        "recording": {
+            "format_version": "2",
+            "epoch_offset_ns": str(EPOCH_OFFSET_NS),
+            "bus": "vcan0",
+            "stamp_origin": "kernel",
+        },
         "ending": {"reason": "link"},
-        "recorder": {"messages": "9"},
+        "recorder": {"messages": "10"},
     }
 
 
@@ -105,7 +122,7 @@ def test_the_same_calls_give_the_same_bytes(tmp_path: Path) -> None:
     assert all(other == first for other in others)
 
 
-def test_the_loops_side_imports_nothing_slow() -> None:
+def test_the_loops_side_imports_no_slow_library() -> None:
     program = "import sys, hil.recording.recorder; print({'numpy', 'mcap', 'zstandard'} & set(sys.modules))"
     finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert finished.stdout.strip() == "set()"
@@ -125,7 +142,7 @@ def test_an_unwritable_path_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("epoch_offset_ns", [-1, 2**31 * 10**9])
-def test_a_clock_out_of_ros_time_is_refused(tmp_path: Path, epoch_offset_ns: int) -> None:
+def test_a_clock_outside_ros_time_is_refused(tmp_path: Path, epoch_offset_ns: int) -> None:
     header = msgspec.structs.replace(RUN_HEADER, epoch_offset_ns=epoch_offset_ns)
     with pytest.raises(RecordingError, match="set the clock"):
         Recorder(tmp_path / "run.mcap", header, lossless=False)
@@ -145,8 +162,8 @@ def test_signals_for_the_gateway_do_not_end_the_recorder(tmp_path: Path) -> None
     assert len(Recording(path).timing()) == 100
 
 
-def test_what_was_handed_over_is_written_though_nothing_follows(tmp_path: Path) -> None:
-    """The loop may hang after it: a chunk does not wait for the next one for ever."""
+def test_a_chunk_is_written_although_no_batch_follows(tmp_path: Path) -> None:
+    """The loop may hang, so a chunk must not wait for the next batch."""
     path = tmp_path / "run.mcap"
     with recorder_process(path, lossless=False) as (recorder, _):
         record_periods(recorder, 2)
@@ -159,22 +176,20 @@ def test_what_was_handed_over_is_written_though_nothing_follows(tmp_path: Path) 
 
 
 def batches_of(monkeypatch: pytest.MonkeyPatch, recorder: Recorder) -> list[int]:
-    """Sizes of the batches that are handed over from here on."""
+    """Return the list to which the size of each further batch is appended."""
     sizes: list[int] = []
     send = recorder._pipe.send
 
-    def noting(block: bytearray, kind: bytes) -> None:
+    def send_and_note(block: bytearray, kind: bytes) -> None:
         sizes.append(len(block))
         send(block, kind)
 
-    monkeypatch.setattr(recorder._pipe, "send", noting)
+    monkeypatch.setattr(recorder._pipe, "send", send_and_note)
     return sizes
 
 
-def test_a_batch_is_handed_over_when_it_is_old_enough(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Five a second: not one a period, which costs the loop, and no later, which a crash would cost."""
+def test_a_batch_is_handed_over_every_0_2_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Five batches a second: one each period would slow the loop down, and a crash loses the last batch."""
     with in_memory(tmp_path / "run.mcap"):
         recorder = Recorder(tmp_path / "run.mcap", RUN_HEADER, lossless=True)
     record_periods(recorder, 1)
@@ -184,10 +199,8 @@ def test_a_batch_is_handed_over_when_it_is_old_enough(
     assert max(sizes) < BATCH_BYTES
 
 
-def test_a_batch_is_handed_over_when_it_is_large_enough(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A babbling bus: hundreds of frames a period."""
+def test_a_batch_is_handed_over_at_its_size_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A babbling node sends hundreds of frames in each period."""
     with in_memory(tmp_path / "run.mcap"):
         recorder = Recorder(tmp_path / "run.mcap", RUN_HEADER, lossless=True)
     record_periods(recorder, 1)
@@ -200,30 +213,30 @@ def test_a_batch_is_handed_over_when_it_is_large_enough(
     assert min(sizes) >= BATCH_BYTES
 
 
-def test_a_recorder_that_falls_behind_costs_messages_that_are_counted(
+def test_a_recorder_that_is_too_slow_drops_messages_and_counts_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pipe, "BACKLOG_BYTES", 100_000)
     path = tmp_path / "run.mcap"
     with recorder_process(path, lossless=False) as (recorder, process_id):
         os.kill(process_id, signal.SIGSTOP)
-        news = record_periods(recorder, 3000)
+        log = record_periods(recorder, 3000)
         os.kill(process_id, signal.SIGCONT)
         dropped = recorder.dropped
         report = recorder.close({})
     recording = Recording(path)
-    assert [event.severity for event in news] == [Severity.WARNING]
-    assert "dropped from here on" in news[0].text
+    assert [entry.severity for entry in log] == [Severity.WARNING]
+    assert "dropped from here on" in log[0].text
     assert report.failure is None
     assert dropped == sum(report.dropped.values()) > 1000
     for topic, count in recording.counts.items():
-        told = 6000 if topic == "/can/tx" else 0 if topic in ("/gateway/log", "/gateway/operator") else 3000
-        assert count + report.dropped.get(topic, 0) == told, topic
+        reported = 0 if topic in UNUSED_TOPICS else 6000 if topic == "/can/tx" else 3000
+        assert count + report.dropped.get(topic, 0) == reported, topic
     assert recording.metadata["recorder"] == {"messages": str(report.messages)} | {
         f"dropped {topic}": str(count) for topic, count in report.dropped.items()
     }
     with pytest.raises(RecordingError, match="dropped while recording"):
-        list(recording.calls())
+        list(recording.entries())
 
 
 def test_lossless_waits_instead_of_dropping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -236,18 +249,20 @@ def test_lossless_waits_instead_of_dropping(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("lossless", [False, True])
-def test_when_the_recorder_process_dies_the_loop_goes_on_and_says_so(tmp_path: Path, lossless: bool) -> None:
+def test_when_the_recorder_process_dies_the_loop_goes_on_and_reports_it(
+    tmp_path: Path, lossless: bool
+) -> None:
     path = tmp_path / "run.mcap"
     with recorder_process(path, lossless=lossless) as (recorder, process_id):
         wait_until(lambda: path.stat().st_size > 0, "the header")
         os.kill(process_id, signal.SIGKILL)
         os.waitid(os.P_PID, process_id, os.WEXITED | os.WNOWAIT)
-        news = record_periods(recorder, 500)
+        log = record_periods(recorder, 500)
         report = recorder.close({})
-    assert [(event.severity, event.source) for event in news] == [(Severity.ERROR, "recorder")]
+    assert [(entry.severity, entry.source) for entry in log] == [(Severity.ERROR, "recorder")]
     assert report.failure == "the recorder process was killed"
-    assert report.failure in news[0].text
-    assert str(path) in news[0].text
+    assert report.failure in log[0].text
+    assert str(path) in log[0].text
     assert sum(report.dropped.values()) == 500 * 8
 
 
@@ -259,9 +274,9 @@ def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path: Path) -> None
         recorder = Recorder(path, RUN_HEADER, lossless=True)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    news = record_periods(recorder, 5000)
+    log = record_periods(recorder, 5000)
     report = recorder.close({})
-    assert [event.severity for event in news] == [Severity.ERROR]
+    assert [entry.severity for entry in log] == [Severity.ERROR]
     assert report.failure is not None
     assert "File too large" in report.failure
     recording = Recording(path)
@@ -270,31 +285,31 @@ def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("lossless", [False, True])
-def test_a_recorder_process_that_hangs_is_killed_after_a_while(
+def test_a_recorder_process_that_hangs_is_killed_after_a_timeout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lossless: bool
 ) -> None:
-    """While the loop hands over without loss, or at the end of a run."""
-    monkeypatch.setattr(pipe, "PATIENCE_S", 0.05)
+    """With lossless, while the loop sends; in real time, at the end of a run."""
+    monkeypatch.setattr(pipe, "TIMEOUT_S", 0.05)
     path = tmp_path / "run.mcap"
     with recorder_process(path, lossless=lossless) as (recorder, process_id):
         os.kill(process_id, signal.SIGSTOP)
-        news = record_periods(recorder, 3000)
+        log = record_periods(recorder, 3000)
         report = recorder.close({})
         assert process_id not in children_of(os.getpid())
-    assert report.failure == "the recorder process took nothing for 0.05 s, and was killed"
-    assert bool(news) == lossless
+    assert report.failure == "the recorder process read nothing for 0.05 s and was killed"
+    assert bool(log) == lossless
     assert sum(report.dropped.values()) > 1000
-    assert report.missing(0) == 3000 * 8, "what was in the pipe is missing too"
+    assert report.missing(0) == 3000 * 8, "the messages in the pipe are missing too"
 
 
-def test_a_recorder_process_that_takes_all_and_does_not_end_is_killed(
+def test_a_recorder_process_that_reads_everything_and_does_not_end_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipe, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(pipe, "TIMEOUT_S", 0.05)
     with recorder_process(tmp_path / "run.mcap", lossless=False) as (recorder, process_id):
         os.kill(process_id, signal.SIGSTOP)
         record_periods(recorder, 3)
         report = recorder.close({})
-    assert report.failure == "the recorder process did not end within 0.05 s, and was killed"
+    assert report.failure == "the recorder process did not end within 0.05 s and was killed"
     assert sum(report.dropped.values()) == 0
     assert report.missing(in_file=0) == 3 * 8

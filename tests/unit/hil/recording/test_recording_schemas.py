@@ -1,4 +1,4 @@
-"""The layouts computed from the definitions, against rosbags' own CDR."""
+"""The layouts that are computed from the definitions, compared with the CDR of rosbags."""
 
 from __future__ import annotations
 
@@ -82,13 +82,13 @@ def test_deadlines_are_laid_out_as_cdr(deadline_ns: int, now_ns: int) -> None:
     assert packed(DEADLINE, "", deadline_ns, now_ns) == bytes(STORE.serialize_cdr(message, DEADLINE.name))
 
 
-def test_fields_are_named_by_their_path_and_constants_are_none() -> None:
+def test_fields_are_named_by_their_path_and_constants_are_left_out() -> None:
     names = [field.name for field in layout_of(AXIS_SIGNALS.definition, "").fields]
     assert names[:3] == ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id"]
     assert names[-2:] == ["state", "fresh"]
 
 
 @pytest.mark.parametrize("definition", ["uint8[] data\n", "float64[<=3] x\n", "geometry_msgs/Point p\n"])
-def test_what_has_no_fixed_size_is_refused(definition: str) -> None:
+def test_a_definition_without_a_fixed_size_is_refused(definition: str) -> None:
     with pytest.raises(ValueError, match="no fixed size"):
         layout_of(definition, "")

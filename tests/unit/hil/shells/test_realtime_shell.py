@@ -22,8 +22,9 @@ from hil.core.output import Cycle, LogEntry, Severity
 from hil.core.sample_guard import SampleGuard, Verdict
 from hil.core.wire import codec
 from hil.links import Received
-from hil.recording.reader import DeadlineCalled, FrameReceived, FrameSent, Operated, Recording
-from hil.recording.recorder import NOT_SENT, Recorder, RunHeader
+from hil.recording.entries import DeadlineCalled, FrameReceived, FrameRefused, FrameSent
+from hil.recording.reader import Recording
+from hil.recording.recorder import Recorder, RunHeader
 from hil.shells import realtime
 from hil.shells.replay import verify
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
@@ -160,7 +161,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 
 
 def commands(recording: Recording) -> list[tuple[float, ...]]:
-    frames = [call.frame for call in recording.calls() if isinstance(call, FrameSent)]
+    frames = [call.frame for call in recording.entries() if isinstance(call, FrameSent)]
     return [codec.decode_rpdo1_dac(frame.data)[:3] for frame in frames if frame.id == codec.RPDO1_DAC]
 
 
@@ -188,8 +189,8 @@ def test_missed_deadlines_are_skipped_never_caught_up(bench: Bench) -> None:
     recording = bench.run()
     assert bench.plan.ending is Ending.COMPLETED
     assert bench.gateway.missed_periods >= 1
-    deadlines = [call.deadline_ns for call in recording.calls() if isinstance(call, DeadlineCalled)]
-    called = [call.now_ns for call in recording.calls() if isinstance(call, DeadlineCalled)]
+    deadlines = [call.deadline_ns for call in recording.entries() if isinstance(call, DeadlineCalled)]
+    called = [call.now_ns for call in recording.entries() if isinstance(call, DeadlineCalled)]
     gaps = [later - sooner for sooner, later in pairwise(called)]
     assert sum(gap < PERIOD_NS for gap in gaps) == 1, "one late period, then the grid again"
     assert all((deadline - deadlines[0]) % PERIOD_NS == 0 for deadline in deadlines)
@@ -226,7 +227,7 @@ def test_a_babbling_bus_does_not_delay_a_deadline(bench: Bench) -> None:
     bench.link.babble_at_sync = {50: 3 * realtime.MAX_WAITING_FRAMES}
     recording = bench.run()
     assert bench.plan.ending is Ending.COMPLETED
-    kinds = [type(call) for call in recording.calls()]
+    kinds = [type(call) for call in recording.entries()]
     begins = [place for place, kind in enumerate(kinds) if kind is DeadlineCalled]
     received = [kinds[start:end].count(FrameReceived) for start, end in pairwise(begins)]
     assert received[49] == realtime.MAX_WAITING_FRAMES
@@ -294,7 +295,7 @@ def test_a_link_that_fails_while_a_completed_run_ends_is_a_failure(bench: Bench)
 
 
 def refused(recording: Recording) -> int:
-    return sum(isinstance(c, Operated) and c.command.startswith(NOT_SENT) for c in recording.calls())
+    return sum(isinstance(entry, FrameRefused) for entry in recording.entries())
 
 
 def test_a_frame_that_a_full_queue_refuses_is_recorded_as_not_sent(bench: Bench) -> None:
@@ -319,10 +320,10 @@ def test_a_frame_that_a_full_queue_refuses_is_recorded_as_not_sent(bench: Bench)
 
 def test_replay_compares_frames_that_were_not_sent(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bench.link.refuses = lambda frame: frame.id == codec.HEARTBEAT_GATEWAY
-    monkeypatch.setattr(Frame, "__str__", lambda frame: f"{frame.id:03X}#")
+    frame_refused = Recorder.frame_refused
+    monkeypatch.setattr(Recorder, "frame_refused", lambda self, f, ns: frame_refused(self, Frame(f.id), ns))
     recording = bench.run()
-    monkeypatch.undo()
-    with pytest.raises(ReplayMismatchError, match=r"recorded frame 701#, the core sends 701#05"):
+    with pytest.raises(ReplayMismatchError, match=r"recorded 701#, the core sends 701#05"):
         verify(recording)
 
 
@@ -420,8 +421,8 @@ def test_the_sending_time_is_taken_when_the_link_has_taken_the_frame(bench: Benc
     recording = bench.run()
     running = recording.timing()[recording.timing()["state"] == LifeCycleState.RUNNING]
     assert set(running["sent_ns"] - running["computed_ns"]) == {30_000}
-    assert set(running["sent_ns"]) <= set(recording.times_sent(codec.RPDO1_DAC))
-    assert set(running["wake_ns"] + 30_000) <= set(recording.times_sent(codec.SYNC))
+    assert set(running["sent_ns"]) <= set(recording.frames("sent", codec.RPDO1_DAC).time_ns)
+    assert set(running["wake_ns"] + 30_000) <= set(recording.frames("sent", codec.SYNC).time_ns)
 
 
 def test_the_observer_gets_every_log_entry_and_period_and_the_recorders_news(

@@ -1,4 +1,4 @@
-"""The run's picture, looked at pixel by pixel where a person would look for colours."""
+"""The plot of a run: the colours in the picture, its axis ranges and its marks."""
 
 from __future__ import annotations
 
@@ -11,11 +11,21 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from matplotlib.image import imread
-from support.recorded_runs import AXES, RUN_HEADER, START_NS, in_memory, record_periods, record_run
+from support.recorded_runs import (
+    AXES,
+    PERIOD_NS,
+    RUN_HEADER,
+    START_NS,
+    following,
+    in_memory,
+    record_periods,
+    record_run,
+)
 
 from hil.core.errors import RecordingError
-from hil.core.life_cycle import LifeCycleState
+from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import LogEntry, Severity
 from hil.core.wire.codec import TPDO1_ADC
 from hil.recording.reader import Recording
@@ -91,19 +101,17 @@ def test_a_fault_is_shaded_and_named(tmp_path: Path) -> None:
     assert pixels_of(bad[title], VERMILION).sum() > 50
 
 
-def test_what_was_planned_for_the_arm_is_marked_where_it_happens(tmp_path: Path) -> None:
-    """The seconds count from the first sample; what lies after the end changes nothing."""
+def test_planned_events_of_the_arm_are_marked_at_their_times(tmp_path: Path) -> None:
+    """Event times count from the first sample. An event after the end of the run changes nothing."""
     recording_path = tmp_path / "run.mcap"
     planned = {"payload:3@1": "1.0", "temperature:0@1": "1.0", "payload:0@99": "99.0"}
     metadata = {**RUN_HEADER.metadata, ARM_EVENTS: planned}
     record_run(recording_path, 300, header=msgspec.structs.replace(RUN_HEADER, metadata=metadata))
     recording = Recording(recording_path)
-    start_ns = int(recording.timing()["wake_ns"][3])
-    assert _event_marks(recording, start_ns) == [
-        (
-            pytest.approx(1.0 + (recording.times_received(TPDO1_ADC)[0] - start_ns) / 1e9),
-            "payload:3, temperature:0",
-        ),
+    start_s = float(recording.timing().time_s[3])
+    first_sample_s = recording.frames("received", TPDO1_ADC).time_s[0] - start_s
+    assert _event_marks(recording, start_s) == [
+        (pytest.approx(1.0 + first_sample_s), "payload:3, temperature:0"),
         (pytest.approx(98.967, abs=0.002), "payload:0"),
     ]
     with_marks = drawn(recording_path)
@@ -117,23 +125,80 @@ def test_what_was_planned_for_the_arm_is_marked_where_it_happens(tmp_path: Path)
     assert 0.3 < places.mean() < 0.5
 
 
-def test_without_a_period_there_is_nothing_to_draw(tmp_path: Path) -> None:
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that are drawn from here on."""
+    drawn_figures: list[Figure] = []
+    savefig = Figure.savefig
+
+    def keep(figure: Figure, *arguments: object, **options: object) -> None:
+        drawn_figures.append(figure)
+        savefig(figure, *arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    return drawn_figures
+
+
+def spans(figure: Figure) -> list[float]:
+    """Ranges of the position panels, then of the valve voltage panels."""
+    return [float(np.ptp(panel.get_ylim())) for panel in figure.axes]
+
+
+@pytest.mark.parametrize(("axis", "span"), [("vertical", 0.01), ("rotation", 0.1)])
+def test_a_quiet_axis_is_not_scaled_to_its_noise(
+    tmp_path: Path, figures: list[Figure], axis: str, span: float
+) -> None:
     path = tmp_path / "run.mcap"
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
-    recorder.operated("arm", START_NS)
+    record_periods(recorder, 300, following(lambda t: 0.05, lambda t: 0.05 + 1e-5 * (t > 1.0)))
     recorder.close({})
-    with pytest.raises(RecordingError, match="holds no period"):
+    plot_run(Recording(path), tmp_path / "run.png", axes=[axis])
+    assert spans(figures[0]) == pytest.approx([span, 1.0])
+    assert np.mean(figures[0].axes[0].get_ylim()) == pytest.approx(0.05, abs=1e-4)
+
+
+def test_a_moving_axis_fills_its_panel(tmp_path: Path, figures: list[Figure]) -> None:
+    record_run(tmp_path / "run.mcap", 300)
+    plot_run(Recording(tmp_path / "run.mcap"), tmp_path / "run.png")
+    assert spans(figures[0])[:3] == pytest.approx([0.12] * 3, rel=0.01)
+
+
+@pytest.mark.parametrize("title", ["costs $5 and $x_{ a", r"\frac{", "$", "[b]bold"])
+def test_a_title_is_drawn_as_it_is(tmp_path: Path, figures: list[Figure], title: str) -> None:
+    record_run(tmp_path / "run.mcap", 10)
+    plot_run(Recording(tmp_path / "run.mcap"), tmp_path / "run.png", title=title)
+    assert figures[0].get_suptitle() == title
+
+
+def test_a_fault_with_a_dollar_sign_is_drawn_as_it_is(tmp_path: Path, figures: list[Figure]) -> None:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(recorder, 20)
+    recorder.log_entry(LogEntry(Severity.FATAL, "link", "udp:$x_{ failed"), START_NS + PERIOD_NS)
+    recorder.close({})
+    plot_run(Recording(path), tmp_path / "run.png", title="hidden")
+    assert figures[0].get_suptitle() == "fault: link: udp:$x_{ failed"
+
+
+def test_a_recording_without_a_period_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    recorder.operated(Trigger.ARM, START_NS)
+    recorder.close({})
+    with pytest.raises(RecordingError, match="has no period"):
         plot_run(Recording(path), tmp_path / "run.png")
 
 
-def test_an_unwritable_picture_is_an_error_for_people(tmp_path: Path) -> None:
+def test_a_picture_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     record_run(tmp_path / "run.mcap", 10)
     with pytest.raises(RecordingError, match=r"absent/run\.png: the plot cannot be written: No such file"):
         plot_run(Recording(tmp_path / "run.mcap"), tmp_path / "absent" / "run.png")
 
 
-def test_no_display_and_no_global_state_is_touched() -> None:
+def test_no_display_and_no_global_state_is_used() -> None:
     program = "import sys, hil.views.plots; print('matplotlib.pyplot' in sys.modules)"
     finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert finished.stdout.strip() == "False"

@@ -1,16 +1,19 @@
-"""Step metrics against responses whose overshoot and settling are known in closed form."""
+"""The summary, with responses whose overshoot and settling time are known in closed form."""
 
 from __future__ import annotations
 
 import io
 import json
 import math
+import random
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 from support.recorded_runs import (
+    CENTRED,
     PERIOD_S,
     RUN_HEADER,
     Signals,
@@ -22,7 +25,8 @@ from support.recorded_runs import (
     step,
 )
 
-from hil.core.life_cycle import LifeCycleState
+from hil.core.life_cycle import LifeCycleState, Trigger
+from hil.core.output import Cycle
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
 from hil.views.summary import Quantiles, StepResponse, Summary, Tracking, summarise
@@ -81,19 +85,48 @@ def test_a_constant_offset_is_the_steady_state_error(tmp_path: Path) -> None:
     assert response.settling_s is not None
 
 
-def test_what_does_not_settle_has_no_settling_time(tmp_path: Path) -> None:
+def test_a_response_that_does_not_settle_has_no_settling_time(tmp_path: Path) -> None:
     response = step_response(tmp_path, following(step(0.1, 1.0), lag(0.09, 1.0, 0.1)))
     assert response.settling_s is None
     assert response.steady_state_error == pytest.approx(0.01, rel=1e-3)
 
 
-def test_the_last_step_of_a_ladder_counts(tmp_path: Path) -> None:
+def test_the_last_step_of_a_slow_ladder_is_read(tmp_path: Path) -> None:
     ladder = lambda t: 0.05 * min(int(t), 3)  # noqa: E731
     climb = lambda t: sum(lag(0.05, at_s, 0.1)(t) for at_s in (1.0, 2.0, 3.0))  # noqa: E731
     response = step_response(tmp_path, following(ladder, climb))
     assert response.step_from == pytest.approx(0.1)
     assert response.step_to == pytest.approx(0.15)
     assert response.settling_s == pytest.approx(0.1 * math.log(50), abs=2 * PERIOD_S)
+
+
+def fast_ladder(t: float) -> float:
+    """Changes every 0.3 s, long before a lag of 0.2 s has settled."""
+    return (0.0, 0.05, 0.1, 0.02)[min(int(t / 0.3), 3)]
+
+
+def random_binary(t: float) -> float:
+    """Changes at random after 0.1 s or a multiple of it; the last change is 2 s before the end."""
+    return 0.01 * random.Random(min(int(t / 0.1), 30)).choice((-1, 1))
+
+
+@pytest.mark.parametrize("setpoint", [fast_ladder, random_binary])
+def test_a_step_before_the_axis_is_at_rest_has_tracking_errors(
+    tmp_path: Path, setpoint: Callable[[float], float]
+) -> None:
+    """Its response cannot be separated from those to the earlier steps."""
+    position, positions = 0.0, []
+    for number in range(round(5.0 / PERIOD_S) + 1):
+        position += (setpoint(number * PERIOD_S) - position) * -math.expm1(-PERIOD_S / 0.2)
+        positions.append(position)
+    result = tracking(tmp_path, following(setpoint, lambda t: positions[round(t / PERIOD_S)]))
+    assert result.max_error > 0.009
+
+
+def test_a_step_in_the_last_periods_has_tracking_errors(tmp_path: Path) -> None:
+    """A response of four periods has no overshoot, settling time or steady state."""
+    late = following(step(0.1, 5.0 - 4.5 * PERIOD_S), lambda t: 0.0)
+    assert tracking(tmp_path, late).max_error == pytest.approx(0.1)
 
 
 def test_a_step_in_the_first_period_counts_from_where_the_axis_was(tmp_path: Path) -> None:
@@ -103,10 +136,8 @@ def test_a_step_in_the_first_period_counts_from_where_the_axis_was(tmp_path: Pat
 
 
 def test_holding_a_position_is_no_step(tmp_path: Path) -> None:
-    """The setpoint goes from the position before the run to where it is held: nobody asked for a step."""
-    assert tracking(tmp_path, following(lambda t: 0.0, lambda t: 0.00004)).largest_error == pytest.approx(
-        4e-5
-    )
+    """The setpoint changes from the position before the run to the held position: that is no step."""
+    assert tracking(tmp_path, following(lambda t: 0.0, lambda t: 0.00004)).max_error == pytest.approx(4e-5)
 
 
 @pytest.mark.parametrize(
@@ -118,25 +149,27 @@ def test_holding_a_position_is_no_step(tmp_path: Path) -> None:
     ],
     ids=["sine", "ramp to the end", "ramp and hold"],
 )
-def test_what_does_not_step_is_tracked(tmp_path: Path, setpoint: Callable[[float], float]) -> None:
+def test_a_setpoint_without_a_step_has_tracking_errors(
+    tmp_path: Path, setpoint: Callable[[float], float]
+) -> None:
     result = tracking(tmp_path, following(setpoint, lambda t: setpoint(t) - 0.003))
     assert result.rms_error == pytest.approx(0.003)
-    assert result.largest_error == pytest.approx(0.003)
+    assert result.max_error == pytest.approx(0.003)
 
 
 def test_the_error_of_a_sine_by_its_root_mean_square(tmp_path: Path) -> None:
     result = tracking(tmp_path, following(lambda t: 0.1 * math.sin(math.tau * t), lambda t: 0.0))
     assert result.rms_error == pytest.approx(0.1 / math.sqrt(2), rel=2e-3)
-    assert result.largest_error == pytest.approx(0.1, rel=2e-3)
+    assert result.max_error == pytest.approx(0.1, rel=2e-3)
 
 
-def test_the_valve_is_seen_while_running(tmp_path: Path) -> None:
+def test_the_range_of_the_valve_voltage_is_that_under_control(tmp_path: Path) -> None:
     response = step_response(tmp_path, following(step(0.1, 1.0), lag(0.1, 1.0, 0.2)))
-    assert response.lowest_valve_v == 5.0
-    assert response.highest_valve_v == pytest.approx(6.0, abs=0.06)
+    assert response.min_valve_v == 5.0
+    assert response.max_valve_v == pytest.approx(6.0, abs=0.06)
 
 
-def test_timing_is_told_by_values_that_occurred(tmp_path: Path) -> None:
+def test_quantiles_are_values_that_occurred(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
@@ -150,13 +183,13 @@ def test_timing_is_told_by_values_that_occurred(tmp_path: Path) -> None:
     record_periods(recorder, 10, first=1003, lateness_ns=lambda k: 0)
     recorder.close({})
     summary = summarise(Recording(path))
-    assert summary.lateness == Quantiles(p50_us=495.0, p99_us=990.0, p99_9_us=999.0, worst_us=1000.0)
-    assert summary.response == Quantiles(p50_us=400.0, p99_us=400.0, p99_9_us=400.0, worst_us=2000.0)
+    assert summary.lateness == Quantiles(p50_us=495.0, p99_us=990.0, p99_9_us=999.0, max_us=1000.0)
+    assert summary.response == Quantiles(p50_us=400.0, p99_us=400.0, p99_9_us=400.0, max_us=2000.0)
     assert (summary.periods, summary.missed_periods, summary.periods_without_sample) == (1010, 3, 0)
     assert (summary.frames_received, summary.frames_sent) == (1010, 2020)
 
 
-def test_a_run_that_never_ran_has_timing_alone(tmp_path: Path) -> None:
+def test_a_run_that_never_got_running_has_timing_alone(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
@@ -167,18 +200,41 @@ def test_a_run_that_never_ran_has_timing_alone(tmp_path: Path) -> None:
     assert summary.periods == 50
 
 
+def test_periods_before_the_boards_are_up_are_no_losses(tmp_path: Path) -> None:
+    """Later periods without a sample are, although the gateway may then be offline again."""
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    for state, fresh, periods in (
+        (LifeCycleState.OFFLINE, False, 25),
+        (LifeCycleState.OFFLINE, True, 3),
+        (LifeCycleState.READY, True, 2),
+        (LifeCycleState.RUNNING, True, 100),
+        (LifeCycleState.RUNNING, False, 2),
+        (LifeCycleState.OFFLINE, False, 5),
+    ):
+        for _ in range(periods):
+            cycle = Cycle(0, 0, 0, 0, state, fresh, (CENTRED,) * 3)
+            recorder.cycle(cycle, 0, 0)
+    recorder.close({})
+    summary = summarise(Recording(path))
+    assert (summary.periods, summary.bring_up_periods, summary.periods_without_sample) == (137, 28, 7)
+    assert "137 periods (28 before the boards were up), " in printed(summary)
+    assert ", 7 without a sample\n" in printed(summary)
+
+
 def test_a_run_without_a_period_is_summed_up(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
-    recorder.operated("arm", 1)
+    recorder.operated(Trigger.ARM, 1)
     recorder.close({})
     summary = summarise(Recording(path))
-    assert (summary.periods, summary.missed_periods, summary.lateness.worst_us) == (0, 0, 0.0)
+    assert (summary.periods, summary.missed_periods, summary.lateness) == (0, 0, None)
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(summary.table())
     rows = [line.split() for line in console.export_text().splitlines() if "–" in line]
-    assert rows == [["lateness", *"––––"], ["response", *"––––"]], "no time is not no time at all"
+    assert rows == [["lateness", *"––––"], ["response", *"––––"]], "no time is not a time of zero"
 
 
 def test_the_table_fits_a_terminal_and_shows_what_the_dict_holds(tmp_path: Path) -> None:
@@ -194,7 +250,40 @@ def test_the_table_fits_a_terminal_and_shows_what_the_dict_holds(tmp_path: Path)
     plain = json.loads(json.dumps(summary.as_dict()))
     assert plain["axes"]["rotation"]["unit"] == "rad"
     assert f"{plain['axes']['rotation']['settling_s']:.2f} s" in row
-    assert plain["lateness"]["worst_us"] == 100.0
+    assert plain["lateness"]["max_us"] == 100.0
+
+
+def printed(summary: Summary, width: int = 80) -> str:
+    """Print as ``hil run`` does: lines are not wrapped by rich."""
+    console = Console(width=width, record=True, file=io.StringIO(), soft_wrap=True)
+    console.print(summary.table())
+    return console.export_text()
+
+
+WIDE = following(step(-0.1499, 1.0), lambda t: 12.3456 * (t > 1.0))
+WIDE_CELLS = ("rotation", "0→-0.1499 rad", "did not settle", "-12495.50 mrad", "-119.95…5.00 V")
+
+
+@pytest.mark.parametrize("width", [20, 80])
+def test_a_table_that_is_piped_is_as_wide_as_its_text(tmp_path: Path, width: int) -> None:
+    text = printed(summary_of(tmp_path, WIDE), width)
+    assert "steady-state" in text
+    (row,) = [line for line in text.splitlines() if line.strip().startswith("rotation")]
+    for cell in WIDE_CELLS:
+        assert cell in row
+
+
+@pytest.mark.parametrize("width", [30, 60, 80])
+def test_a_narrow_terminal_shows_all_text_on_more_lines(tmp_path: Path, width: int) -> None:
+    summary = summary_of(tmp_path, WIDE)
+    console = Console(width=width, force_terminal=True, color_system=None, record=True, file=io.StringIO())
+    console.print(summary.table(), soft_wrap=True)
+    shown, whole = (
+        text[: text.index("periods")].replace("─", "") for text in (console.export_text(), printed(summary))
+    )
+    assert max(map(len, shown.splitlines()[:-1])) <= width
+    assert shown != whole
+    assert Counter("".join(shown.split())) == Counter("".join(whole.split()))
 
 
 LOSSES = {
@@ -207,7 +296,7 @@ LOSSES = {
 }
 
 
-def told_of(tmp_path: Path, ending: dict[str, str]) -> tuple[Summary, str]:
+def summary_and_text(tmp_path: Path, ending: dict[str, str]) -> tuple[Summary, str]:
     path = tmp_path / "run.mcap"
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
@@ -220,8 +309,8 @@ def told_of(tmp_path: Path, ending: dict[str, str]) -> tuple[Summary, str]:
 
 
 @pytest.mark.parametrize("key", LOSSES)
-def test_what_was_lost_is_told_loudly(tmp_path: Path, key: str) -> None:
-    summary, text = told_of(tmp_path, dict.fromkeys(LOSSES, "0") | {key: "17"})
+def test_losses_are_printed_strikingly(tmp_path: Path, key: str) -> None:
+    summary, text = summary_and_text(tmp_path, dict.fromkeys(LOSSES, "0") | {key: "17"})
     assert {name: summary.as_dict()[name] for name in LOSSES.values()} == dict.fromkeys(
         LOSSES.values(), 0
     ) | {LOSSES[key]: 17}
@@ -229,20 +318,20 @@ def test_what_was_lost_is_told_loudly(tmp_path: Path, key: str) -> None:
     assert line.count(",") == 0
 
 
-def test_that_nothing_was_lost_is_told(tmp_path: Path) -> None:
-    _, text = told_of(tmp_path, dict.fromkeys(LOSSES, "0"))
+def test_a_run_without_losses_says_so(tmp_path: Path) -> None:
+    _, text = summary_and_text(tmp_path, dict.fromkeys(LOSSES, "0"))
     assert "nothing dropped, rejected or lost" in text
     assert "ATTENTION" not in text
 
 
-def test_what_is_not_known_is_none(tmp_path: Path) -> None:
-    summary, text = told_of(tmp_path, {"frames dropped by the kernel": "unknown"})
+def test_unknown_counts_are_none(tmp_path: Path) -> None:
+    summary, text = summary_and_text(tmp_path, {"frames dropped by the kernel": "unknown"})
     assert summary.frames_dropped is None
     assert summary.frames_rejected is None
     assert "ATTENTION" not in text
 
 
-def test_messages_that_were_not_recorded_are_told_loudly(tmp_path: Path) -> None:
+def test_messages_that_were_not_recorded_are_printed_strikingly(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with in_memory(path):
         recorder = Recorder(path, RUN_HEADER, lossless=True)
@@ -269,8 +358,8 @@ def test_a_cut_off_recording_says_so(tmp_path: Path) -> None:
 
 def test_an_interrupted_run_says_so_and_others_do_not(tmp_path: Path) -> None:
     ending = {"reason": "interrupted", "duration asked for, s": "600"}
-    summary, text = told_of(tmp_path, ending)
+    summary, text = summary_and_text(tmp_path, ending)
     assert summary.controlled_s == pytest.approx(298 * PERIOD_S)
     assert f"interrupted after {298 * PERIOD_S:.0f} s of 600" in text
     (tmp_path / "run.mcap").unlink()
-    assert "interrupted" not in told_of(tmp_path, ending | {"reason": "completed"})[1]
+    assert "interrupted" not in summary_and_text(tmp_path, ending | {"reason": "completed"})[1]

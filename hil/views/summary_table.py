@@ -1,0 +1,95 @@
+"""Prints the summary of a run: tables of the axes and of the loop, counts, and what was lost."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
+
+from hil.views.summary import StepResponse, Summary
+
+
+def render(summary: Summary) -> RenderableType:
+    """Return the summary as tables and lines of text. Tables of usual values fit into 80 columns."""
+    steps = _table("axis", "step", "overshoot", "2 %\nsettling", "steady-state\nerror", "valve")
+    tracking = _table("axis", "RMS error", "largest error", "valve")
+    for name, axis in summary.axes.items():
+        unit = axis.unit
+        valve = f"{axis.min_valve_v:.2f}…{axis.max_valve_v:.2f} V"
+        if isinstance(axis, StepResponse):
+            steps.add_row(
+                name,
+                f"{axis.step_from:.4g}→{axis.step_to:.4g} {unit}",
+                f"{axis.overshoot_percent:.2f} %",
+                "did not settle" if axis.settling_s is None else f"{axis.settling_s:.2f} s",
+                f"{1e3 * axis.steady_state_error:.2f} m{unit}",
+                valve,
+            )
+        else:
+            rms, largest = 1e3 * axis.rms_error, 1e3 * axis.max_error
+            tracking.add_row(name, f"{rms:.2f} m{unit}", f"{largest:.2f} m{unit}", valve)
+    tables = [table for table in (steps, tracking) if table.row_count]
+    notes = [] if summary.complete else ["The recording was cut off. The figures are those of its contents."]
+    if summary.ending == "interrupted":
+        requested = "" if summary.requested_s is None else f" of {summary.requested_s:g}"
+        notes.append(f"interrupted after {summary.controlled_s:.0f} s{requested}")
+    return Group(*map(_Whole, [*tables, _loop_table(summary)]), _counts(summary), _losses(summary), *notes)
+
+
+class _Whole:
+    """A table that loses no text. If the output is not a terminal, its lines may exceed the width."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        may_exceed_width = options.overflow == "ignore" and not console.is_terminal
+        if may_exceed_width:
+            unlimited = options.update(max_width=10_000)
+            width = Measurement.get(console, unlimited, self._table).maximum
+            options = options.update(width=max(width, options.max_width))
+        yield from console.render(self._table, options)
+
+
+def _table(*headers: str) -> Table:
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for header in headers:
+        table.add_column(header, overflow="fold")
+    return table
+
+
+def _loop_table(summary: Summary) -> Table:
+    table = _table("loop", "p50", "p99", "p99.9", "max")
+    for name, quantiles in (("lateness", summary.lateness), ("response", summary.response)):
+        table.add_row(name, *(f"{value:.0f} µs" for value in astuple(quantiles)) if quantiles else "––––")
+    return table
+
+
+def _counts(summary: Summary) -> str:
+    bring_up = f" ({summary.bring_up_periods} before the boards were up)" if summary.bring_up_periods else ""
+    return (
+        f"{summary.periods} periods{bring_up}, {summary.missed_periods} missed, "
+        f"{summary.periods_without_sample} without a sample\n"
+        f"{summary.frames_received} frames received, {summary.frames_sent} sent"
+    )
+
+
+def _losses(summary: Summary) -> Text:
+    """Return a line that highlights all losses, or states that there were none."""
+    counted = (
+        (summary.frames_dropped, "frame", "dropped on arrival"),
+        (summary.frames_unreadable, "frame", "unreadable"),
+        (summary.frames_not_sent, "frame", "not sent"),
+        (summary.frames_rejected, "frame", "rejected"),
+        (summary.samples_lost, "sample", "lost"),
+        (summary.error_frames, "error frame", "on the bus"),
+        (summary.messages_dropped, "message", "not recorded"),
+    )
+    lost = [f"{count} {what}{'s' * (count > 1)} {how}" for count, what, how in counted if count]
+    if lost:
+        return Text(f"ATTENTION: {', '.join(lost)}", style="bold red")
+    return Text("nothing dropped, rejected or lost" if summary.complete else "")
