@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.responses import StepResponses
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
@@ -165,9 +165,9 @@ class Problem:
         """The margin in the loop designed for."""
         return measures.eps_continuous if self.sampling is None else measures.eps_sampled
 
-    def loops(self, K: Controller) -> Loops:
+    def loops(self, K: Controller) -> ClosedLoops:
         """The loop of one controller."""
-        return Loops(self.loop_plant, K, W=self.weight, sampling=self.sampling)
+        return ClosedLoops(self.loop_plant, K, W=self.weight, sampling=self.sampling)
 
     def measure(self, candidate: Candidate) -> Measures:
         """All readings of one candidate."""

@@ -21,7 +21,7 @@ _SAMPLES, _MOST_SAMPLES = 512, 4096
 """Of a response that is drawn: of a continuous one, and at most of a sampled one."""
 
 
-class Loops:
+class ClosedLoops:
     """Controllers (B, n + 1) on one plant, in s or in the bilinear plane of ``sampling``.
 
     ``desired`` is the open loop whose shape is specified: the shaped plant Gs while weights are selected,
@@ -43,7 +43,7 @@ class Loops:
         self.desired = self.open if desired is None else desired
         self.desired_name = "GK" if desired is None else "Gs"
 
-    def some(self, chosen: Indices) -> Loops:
+    def some(self, chosen: Indices) -> ClosedLoops:
         """Those of the batch."""
 
         def of(p: Array) -> Array:
@@ -54,7 +54,7 @@ class Loops:
 
         K, W = Controller(*(of(p) for p in self.K)), pair(self.W)
         desired = None if self.desired is self.open else pair(self.desired)
-        return Loops(self.G, K, W=W, sampling=self.sampling, desired=desired)
+        return ClosedLoops(self.G, K, W=W, sampling=self.sampling, desired=desired)
 
     @cached_property
     def closed(self) -> Array:

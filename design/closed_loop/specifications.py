@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.errors import DesignError
 from design.mathematics.polynomials import Array
 from design.robustness import margins
@@ -28,17 +28,17 @@ class Quantity:
     """Something that can be specified: how it reads, in which unit, and whether its limit is the largest."""
 
     unit: str
-    limit_is_largest: bool
+    is_upper_limit: bool
     reading: str
-    read: Callable[[Loops, float], Array]
+    read: Callable[[ClosedLoops, float], Array]
     """Values (B,) of loops, given the specification's ``at``."""
     takes: str | None = None
     """What ``at`` is, with its unit; None if it has none."""
-    is_followed: bool = False
+    needs_step_response: bool = False
     """Whether a step response has to be followed for it, which takes its time."""
 
     @property
-    def is_of_desired(self) -> bool:
+    def reads_open_loop_shape(self) -> bool:
         """Whether it is read off the open loop whose shape is specified: Gs while weights are selected."""
         return "{desired}" in self.reading
 
@@ -49,17 +49,17 @@ QUANTITIES = {
         True,
         "largest y of the closed loop's unit step over its final value, less 1",
         lambda q, _: q.overshoot,
-        is_followed=True,
+        needs_step_response=True,
     ),
     "settling_s": Quantity(
         "s",
         True,
         "time from which the closed loop's step stays within 2 % of its final value",
         lambda q, _: q.settling_s,
-        is_followed=True,
+        needs_step_response=True,
     ),
     "rise_s": Quantity(
-        "s", True, "10 to 90 % of the closed loop's step", lambda q, _: q.rise_s, is_followed=True
+        "s", True, "10 to 90 % of the closed loop's step", lambda q, _: q.rise_s, needs_step_response=True
     ),
     "error": Quantity(
         "", True, "|1 - y| of the closed loop's unit step as t goes to infinity", lambda q, _: q.error
@@ -101,7 +101,7 @@ QUANTITIES = {
         "largest |u| after a setpoint step of {at}",
         lambda q, at: at * q.effort,
         takes="the size of the step, in the axis' unit",
-        is_followed=True,
+        needs_step_response=True,
     ),
     "disturbance_peak": Quantity(
         "", True, "‖G/(1 + GK)‖∞, output unit per V", lambda q, _: margins.disturbance_peak(q.G, q.K.feedback)
@@ -129,7 +129,7 @@ class Specification:
         """What is read."""
         return QUANTITIES[self.quantity]
 
-    def read(self, loops: Loops) -> Array:
+    def read(self, loops: ClosedLoops) -> Array:
         """Values (B,)."""
         return np.asarray(self.kind.read(loops, self.at))
 
@@ -137,7 +137,7 @@ class Specification:
         """By how much values (B,) fail, relative to the limit; 0 where it holds."""
         size = max(abs(self.limit), 1e-12)
         excess = (value - self.limit) / size
-        excess = excess if self.kind.limit_is_largest else -excess
+        excess = excess if self.kind.is_upper_limit else -excess
         return np.clip(np.where(np.isnan(excess), _WORST, excess), 0.0, _WORST)
 
 
@@ -153,7 +153,7 @@ class Reading:
     met: bool
 
     def __str__(self) -> str:
-        sign = "<=" if QUANTITIES[self.quantity].limit_is_largest else ">="
+        sign = "<=" if QUANTITIES[self.quantity].is_upper_limit else ">="
         verdict = "met" if self.met else "NOT met"
         return f"{self.quantity} {self.value_text} {verdict} ({sign} {self.limit:g}; {self.reading})"
 
@@ -164,16 +164,18 @@ class Reading:
         return f"{value} {self.unit}".rstrip()
 
 
-def violations(specifications: Sequence[Specification], loops: Loops, enough: Array | None = None) -> Array:
+def violations(
+    specifications: Sequence[Specification], loops: ClosedLoops, enough: Array | None = None
+) -> Array:
     """Summed violations (B,); over 1000 where a loop is unstable, 0 where everything holds.
 
     Where they are over ``enough`` (B,), some value over it is returned, and sooner.
     """
     total = np.where(loops.stable, 0.0, UNSTABLE)
     for specification in specifications:
-        if not specification.kind.is_followed:
+        if not specification.kind.needs_step_response:
             total += specification.violation(specification.read(loops))
-    followed = [specification for specification in specifications if specification.kind.is_followed]
+    followed = [specification for specification in specifications if specification.kind.needs_step_response]
     chosen = np.flatnonzero(total <= (np.inf if enough is None else enough))
     if followed and len(chosen):
         some = loops if len(chosen) == len(total) else loops.some(chosen)
@@ -187,7 +189,7 @@ def enough_violation(worth: Array, fitness: Array) -> Array:
     return np.where(worth > 0.0, np.where(fitness >= worth, 0.0, -1.0), -worth)
 
 
-def readings(specifications: Sequence[Specification], loops: Loops) -> tuple[Reading, ...]:
+def readings(specifications: Sequence[Specification], loops: ClosedLoops) -> tuple[Reading, ...]:
     """What a single loop reads."""
     result = []
     for specification in specifications:
@@ -202,14 +204,14 @@ def readings(specifications: Sequence[Specification], loops: Loops) -> tuple[Rea
 
 
 def compromise(
-    what: str, parameters: Mapping[str, float], at_walls: Sequence[str], read: Sequence[Reading]
+    what: str, parameters: Mapping[str, float], at_bounds: Sequence[str], read: Sequence[Reading]
 ) -> str:
     """The text of an InfeasibleError: what fails, and by how much, at the best that was found."""
     at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
     failed = "".join(f"\n  {reading}" for reading in read if not reading.met)
     advice = "relax what fails, or choose another structure"
-    if at_walls:
-        advice = f"{', '.join(at_walls)} at an end of the box: widen it, or relax what fails"
+    if at_bounds:
+        advice = f"{', '.join(at_bounds)} at an end of the box: widen it, or relax what fails"
     return f"no {what} in its box meets all specifications. Best compromise ({at}):{failed}\nNext: {advice}"
 
 
@@ -233,5 +235,5 @@ def _db(gain: Array) -> Array:
         return np.asarray(20.0 * np.log10(gain))
 
 
-def _plane(loops: Loops, omega: float) -> float:
+def _plane(loops: ClosedLoops, omega: float) -> float:
     return omega if loops.sampling is None else float(loops.sampling.warp(omega))

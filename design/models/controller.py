@@ -31,7 +31,7 @@ class Controller(NamedTuple):
         return TransferFunction(self.num, self.den)
 
 
-def of_error(num: Array, den: Array) -> Controller:
+def one_degree_of_freedom(num: Array, den: Array) -> Controller:
     """A controller with one degree of freedom, u = num/den (r - y)."""
     return Controller(num, den, num)
 

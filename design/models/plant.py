@@ -63,7 +63,7 @@ class Plant(Document, frozen=True, kw_only=True):
     origin: dict[str, Any] = msgspec.field(default_factory=dict)
 
     @property
-    def sense(self) -> float:
+    def gain_sign(self) -> float:
         """1 or -1: the sign of feedback that negative feedback with a positive gain is, at low frequency."""
         return float(np.sign(np.trim_zeros(self.num, "b")[-1] * np.trim_zeros(self.den, "f")[0]))
 
@@ -106,13 +106,13 @@ def as_list(plants: Plant | Sequence[Plant]) -> list[Plant]:
     return [plants] if isinstance(plants, Plant) else list(plants)
 
 
-def limits_of(plants: Plant | Sequence[Plant], sampling: Sampling | None, wanted_rad_s: float = 0.0) -> str:
+def limit_notes(plants: Plant | Sequence[Plant], sampling: Sampling | None, wanted_rad_s: float = 0.0) -> str:
     """What these plants make hard for any controller, to be told with a failure; empty if nothing.
 
     ``wanted_rad_s`` is the crossover that was asked for.
     """
     several = as_list(plants)
-    signs = {plant.name: plant.sense for plant in several}
+    signs = {plant.name: plant.gain_sign for plant in several}
     delay_s = 0.0 if sampling is None else (sampling.delay_samples + 0.5) * sampling.period_s
     limits = [
         limit if len(several) == 1 else f"{plant.name}: {limit}"
@@ -128,7 +128,7 @@ def limits_of(plants: Plant | Sequence[Plant], sampling: Sampling | None, wanted
     return because(limits)
 
 
-def as_models(plants: Plant | Sequence[Plant], sampling: Sampling | None) -> list[TransferFunction]:
+def loop_models(plants: Plant | Sequence[Plant], sampling: Sampling | None) -> list[TransferFunction]:
     """What the loop sees of one plant or several. Raises DesignError where a mode is hidden and unstable."""
     several = as_list(plants)
     for plant in several:

@@ -18,8 +18,8 @@ def hints(design: Design) -> list[str]:
         f"{', '.join(names)} of the {what}: at a wall of the box; widen it, unless that is wanted, or "
         "see whether the plant is in other units than its file says"
         for what, names in (
-            ("weight", design.weight.at_walls),
-            ("controller", design.synthesis.at_walls),
+            ("weight", design.weight.at_bounds),
+            ("controller", design.synthesis.at_bounds),
         )
         if names
     ]

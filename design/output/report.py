@@ -213,7 +213,7 @@ def _specification_rows(design: Design) -> list[dict[str, str | bool]]:
 
 
 def _limit(specification: Specification) -> str:
-    sign = "≤" if specification.kind.limit_is_largest else "≥"
+    sign = "≤" if specification.kind.is_upper_limit else "≥"
     return f"{sign} {specification.limit:g} {specification.kind.unit}".rstrip()
 
 

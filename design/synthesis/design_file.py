@@ -13,7 +13,7 @@ import msgspec
 
 from design.closed_loop.specifications import Specification
 from design.models.plant import Sampling
-from design.search.boxes import Parameter, with_boxes
+from design.search.bounds import Parameter, with_bounds
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.genetic_algorithm import GeneticAlgorithm
 from design.search.searcher import Searcher
@@ -179,7 +179,7 @@ class DesignFile(Document, frozen=True):
             structure: Structure = IntegralWeight(self.weight.b or 0.001)
         else:
             structure = STRUCTURES[self.weight.structure]
-        return with_boxes(structure, _parameters(self.weight.box))
+        return with_bounds(structure, _parameters(self.weight.box))
 
     def controller_structure(self) -> Structure:
         """K's structure with its boxes. Raises DesignError or DocumentError."""
@@ -199,7 +199,7 @@ class DesignFile(Document, frozen=True):
                 f"controller structure {name!r}: not one of {', '.join([*STRUCTURES, 'free'])}; "
                 'a class of your own is named "file.py:Class" or "module:Class"'
             )
-        return with_boxes(structure, _parameters(self.controller.box))
+        return with_bounds(structure, _parameters(self.controller.box))
 
     def weight_searcher(self, dimensions: int) -> Searcher:
         """For eqs. (8), (9); the genetic algorithm with the paper's 100 chromosomes."""

@@ -17,7 +17,7 @@ from functools import partial
 
 import numpy as np
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import (
     Reading,
     Specification,
@@ -29,11 +29,11 @@ from design.closed_loop.specifications import (
 from design.errors import InfeasibleError, NotStabilisedError
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array, Indices
-from design.models.plant import Plant, Sampling, TransferFunction, as_models, limits_of
+from design.models.plant import Plant, Sampling, TransferFunction, limit_notes, loop_models
 from design.robustness import margins
 from design.robustness.central_controller import optimal_margins
 from design.robustness.loop_shaping import shaped
-from design.search.boxes import Box
+from design.search.bounds import SearchBounds
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.searcher import Progress, Searcher, SearchResult, maximise
 from design.synthesis.structures import Structure, setpoint_parameters
@@ -55,7 +55,7 @@ class Synthesis:
     """The best that any controller could reach with this weight; over several plants, the smallest."""
     weight: TransferFunction
     readings: tuple[Reading, ...]
-    at_walls: tuple[str, ...]
+    at_bounds: tuple[str, ...]
     """Parameters that ended at an end of their box: a wider one may allow more."""
     setpoint_parameters: tuple[str, ...]
     """Those that no margin sees."""
@@ -86,16 +86,16 @@ def synthesise(
     ``searcher`` makes one for so many parameters. Raises NotStabilisedError, or InfeasibleError if
     specifications fail.
     """
-    models = as_models(plants, sampling)
-    box = Box(structure.parameters)
+    models = loop_models(plants, sampling)
+    box = SearchBounds(structure.parameters)
     setpoint = setpoint_parameters(structure)
     is_setpoint = np.array([name in setpoint for name in box.names])
     # Without specifications to hold, what no margin sees need not be searched with the rest.
     searched = np.flatnonzero(~is_setpoint) if not specifications else np.arange(len(box))
 
-    def loops(G: TransferFunction, points: Array) -> Loops:
+    def loops(G: TransferFunction, points: Array) -> ClosedLoops:
         K = structure.controller(box.decode(points))
-        return Loops(G, K, W=weight, sampling=sampling)
+        return ClosedLoops(G, K, W=weight, sampling=sampling)
 
     def whole(points: Array) -> Array:
         return _placed(np.full(len(box), 0.5), searched, points)
@@ -132,13 +132,13 @@ def synthesise(
         best = _placed(feedback, which, maximise(setpoint_objective, last).best[None, :])
     values = box.decode(best)[0]
     parameters = dict(zip(box.names, map(float, values), strict=True))
-    at_walls = tuple(name for name in box.at_walls(best[0]) if name not in setpoint)
+    at_bounds = tuple(name for name in box.at_bounds(best[0]) if name not in setpoint)
     if search.best_fitness <= -1e4:
         raise NotStabilisedError(
             f"no {type(structure).__name__} in its box stabilises the plant: the best of "
             f"{search.evaluations} candidates still has a closed-loop pole at Re s = "
             f"{-search.best_fitness - 1e4:.3g} rad/s; widen the boxes, or choose another structure"
-            + limits_of(plants, sampling)
+            + limit_notes(plants, sampling)
         )
     batches = [loops(G, best) for G in models]
     eps = [float(batch.margin[0]) for batch in batches]
@@ -146,7 +146,7 @@ def synthesise(
     read = readings(specifications, worst)
     if search.best_fitness < 0.0:
         raise InfeasibleError(
-            compromise("controller", parameters, at_walls, read) + limits_of(plants, sampling)
+            compromise("controller", parameters, at_bounds, read) + limit_notes(plants, sampling)
         )
     return Synthesis(
         structure=structure,
@@ -156,7 +156,7 @@ def synthesise(
         eps_opt=min(float(optimal_margins(shaped(G, weight))[0]) for G in models),
         weight=weight,
         readings=read,
-        at_walls=at_walls,
+        at_bounds=at_bounds,
         setpoint_parameters=setpoint,
         sampling=sampling,
         search=search,

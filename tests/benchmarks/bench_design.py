@@ -36,15 +36,15 @@ from pymoo.optimize import minimize
 from support.paper_loop import G0, W1
 from support.random_systems import System, margin_at, slycot_margins, systems
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.mathematics import polynomials as poly
-from design.models.controller import of_error
+from design.models.controller import one_degree_of_freedom
 from design.models.plant import paper_plant
 from design.robustness import margins
 from design.robustness.central_controller import central_controllers, optimal_margins
 from design.robustness.loop_shaping import shaped
 from design.robustness.margins import characteristic, margin_and_frequency, stability_margin
-from design.search.boxes import Box
+from design.search.bounds import SearchBounds
 from design.synthesis.fixed_structure import synthesise
 from design.synthesis.structures import STRUCTURES, IntegralWeight
 from design.synthesis.weight_selection import select_weight
@@ -58,7 +58,7 @@ all, and batches of 40 to 60 in numpy take 15 us a controller and 90 us a weight
 LEAST_RATIO = 20
 """Held against the faster of the two, lest what there is be lost."""
 PLANT, PID = paper_plant(), STRUCTURES["pid"]
-BOX = Box(PID.parameters)
+BOX = SearchBounds(PID.parameters)
 
 
 def seconds_of(work: Callable[[], object], rounds: int = 1) -> float:
@@ -142,7 +142,7 @@ def with_python_control(weights: int, controllers: int) -> tuple[float, float, f
     """Seconds a weight, a controller, and a controller as transfer functions; all checked to be ours."""
     random, peer = np.random.default_rng(1), WithPythonControl()
     weight = IntegralWeight()
-    drawn_weights = Box(weight.parameters).decode(random.random((weights, 2)))
+    drawn_weights = SearchBounds(weight.parameters).decode(random.random((weights, 2)))
     drawn = BOX.decode(random.random((controllers, 4)))
     peer.weight(*drawn_weights[0])
     as_transfer_functions(*drawn[0])
@@ -160,8 +160,8 @@ def with_python_control(weights: int, controllers: int) -> tuple[float, float, f
     Gs = shaped(G0, W)
     K_inf, ours = central_controllers(Gs)
     np.testing.assert_allclose(eps_opt, ours, rtol=1e-8)
-    K = of_error(poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den))
-    loops = Loops(G0, K, W=W, desired=Gs)
+    K = one_degree_of_freedom(poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den))
+    loops = ClosedLoops(G0, K, W=W, desired=Gs)
     falls = np.isfinite(crossover)
     np.testing.assert_allclose(crossover[falls], margins.crossover(Gs)[falls], rtol=1e-6)
     # What has not come to rest in its 6 s python-control's user does not see.
@@ -317,7 +317,7 @@ def in_one_batch() -> None:
     values = BOX.decode(random.random((CONTROLLERS, 4)))
     exact = seconds_of(lambda: stability_margin(G0, PID.controller(values).feedback, W1), rounds=3)
     weight = IntegralWeight()
-    W = weight.controller(Box(weight.parameters).decode(random.random((WEIGHTS, 2)))).feedback
+    W = weight.controller(SearchBounds(weight.parameters).decode(random.random((WEIGHTS, 2)))).feedback
     optima = seconds_of(lambda: optimal_margins(shaped(G0, W)), rounds=3)
     print("in one large batch, a candidate:")
     print(f"  eps {1e6 * exact / CONTROLLERS:.1f} us, eps_opt {1e6 * optima / WEIGHTS:.1f} us")

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from design.closed_loop.loops import Loops
-from design.models.controller import of_error
+from design.closed_loop.loops import ClosedLoops
+from design.models.controller import one_degree_of_freedom
 from design.models.plant import Sampling, TransferFunction
 
-ONE = of_error(np.array([[1.0]]), np.array([[1.0]]))
+ONE = one_degree_of_freedom(np.array([[1.0]]), np.array([[1.0]]))
 Values = NDArray[np.float64]
 Modes = list[tuple[complex, complex]]
 """Pole and residue; of a pair of complex ones, that above the axis."""
@@ -42,13 +42,13 @@ def both(modes: Modes) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     return np.array(poles, dtype=np.complex128), -r / r.sum().real
 
 
-def continuous_loop(modes: Modes) -> Loops:
+def continuous_loop(modes: Modes) -> ClosedLoops:
     """Around K = 1."""
     p, r = both(modes)
     return _around_one(p, r * p, None)
 
 
-def sampled_loop(modes: Modes, period_s: float) -> Loops:
+def sampled_loop(modes: Modes, period_s: float) -> ClosedLoops:
     """The same response at its samples."""
     p, r = both(modes)
     z = np.exp(p * period_s)
@@ -92,10 +92,10 @@ def _around_one(
     shares: NDArray[np.complex128],
     sampling: Sampling | None,
     direct: complex = 0.0,
-) -> Loops:
+) -> ClosedLoops:
     """The loop whose T is direct + Σ share/(s - p), 1 at s = 0."""
     den = np.poly(p).real
     num = direct.real * den
     for i, share in enumerate(shares):
         num[1:] += (share * np.poly(np.delete(p, i))).real
-    return Loops(TransferFunction(num, den - num), ONE, sampling=sampling)
+    return ClosedLoops(TransferFunction(num, den - num), ONE, sampling=sampling)

@@ -7,13 +7,13 @@ import pytest
 import scipy.signal
 from support.paper_loop import BEST_PI, BEST_PID, G0, HLS, PERIOD_S, PPID, W1, pi, pid
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.responses import step_responses
-from design.models.controller import Controller, of_error
+from design.models.controller import Controller, one_degree_of_freedom
 from design.models.plant import Sampling, TransferFunction, paper_plant, to_z
 from design.synthesis.structures import STRUCTURES
 
-WHOLE_HLS = of_error(HLS.num, HLS.den)
+WHOLE_HLS = one_degree_of_freedom(HLS.num, HLS.den)
 
 
 def closed(G: TransferFunction, K: Controller, i: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +67,7 @@ def test_setpoint_weights_act_on_the_setpoint_alone() -> None:
 def test_a_proportional_loop_around_a_biproper_plant() -> None:
     # G = (s + 2)/(s + 1), K = 3: y(0+) = 3/4, y(∞) = 6/7.
     G = TransferFunction(np.array([1.0, 2.0]), np.array([1.0, 1.0]))
-    response = step_responses(G, of_error(np.array([[3.0]]), np.array([[1.0]])), None, 0.1, 100)
+    response = step_responses(G, one_degree_of_freedom(np.array([[3.0]]), np.array([[1.0]])), None, 0.1, 100)
     assert response.y[0, 0] == pytest.approx(0.75)
     assert response.y[0, -1] == pytest.approx(6.0 / 7.0)
     assert response.u[0, 0] == pytest.approx(0.75)
@@ -85,7 +85,7 @@ def test_a_proportional_loop_around_a_biproper_plant() -> None:
 def test_overshoot_and_settling_of_the_papers_controllers(
     K: Controller, overshoot: float, settling_s: float
 ) -> None:
-    loops = Loops(G0, K, W=W1)
+    loops = ClosedLoops(G0, K, W=W1)
     assert loops.overshoot[0] == pytest.approx(overshoot, abs=3e-4)
     assert loops.settling_s[0] == pytest.approx(settling_s, abs=3e-3)
 
@@ -94,7 +94,7 @@ def test_readings_of_a_second_order_loop() -> None:
     # w0²/(s² + 2 z w0 s + w0²) around K = 1.
     w0, zeta = 5.0, 0.4
     G = TransferFunction(np.array([w0**2]), np.array([1.0, 2.0 * zeta * w0, 0.0]))
-    loops = Loops(G, of_error(np.array([[1.0]]), np.array([[1.0]])))
+    loops = ClosedLoops(G, one_degree_of_freedom(np.array([[1.0]]), np.array([[1.0]])))
     assert loops.overshoot[0] == pytest.approx(np.exp(-np.pi * zeta / np.sqrt(1.0 - zeta**2)), rel=1e-4)
     assert loops.final_value[0] == pytest.approx(1.0)
     t = np.linspace(0.0, 6.0, 600001)
@@ -107,13 +107,13 @@ def test_readings_of_a_second_order_loop() -> None:
 
 def test_the_steady_error_is_that_of_the_gain_at_zero() -> None:
     G = TransferFunction(np.array([2.0]), np.array([1.0, 1.0]))
-    loops = Loops(G, of_error(np.array([[4.0]]), np.array([[1.0]])))
+    loops = ClosedLoops(G, one_degree_of_freedom(np.array([[4.0]]), np.array([[1.0]])))
     assert loops.error[0] == pytest.approx(1.0 / 9.0)
 
 
 def test_unstable_and_slow_loops() -> None:
     K = STRUCTURES["pi"].controller(np.array([[500.0, 5.0], [0.01, 0.01], [10.763, 4.7136]]))
-    loops = Loops(G0, K)
+    loops = ClosedLoops(G0, K)
     assert loops.stable.tolist() == [False, True, True]
     assert np.abs(loops.response(2.0).y[0]).max() == 0.0
     for reading in (loops.overshoot, loops.settling_s, loops.rise_s, loops.effort, loops.itae):

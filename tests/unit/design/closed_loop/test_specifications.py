@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.paper_loop import BEST_PID, G0, HLS, PERIOD_S, PPID, W1, pid
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import (
     PAPER,
     QUANTITIES,
@@ -16,16 +16,16 @@ from design.closed_loop.specifications import (
     violations,
 )
 from design.errors import DesignError
-from design.models.controller import of_error
+from design.models.controller import one_degree_of_freedom
 from design.models.plant import Sampling, paper_plant, to_z
 from design.robustness.loop_shaping import shaped
 from design.robustness.margins import gain_margins, phase_margin
 from design.synthesis.structures import STRUCTURES
 
-SHAPING = Loops(G0, of_error(HLS.num, HLS.den), W=W1, desired=shaped(G0, W1))
+SHAPING = ClosedLoops(G0, one_degree_of_freedom(HLS.num, HLS.den), W=W1, desired=shaped(G0, W1))
 
 
-def read(quantity: str, loops: Loops, at: float = 1.0) -> float:
+def read(quantity: str, loops: ClosedLoops, at: float = 1.0) -> float:
     return float(Specification(quantity, 1.0, at).read(loops)[0])
 
 
@@ -41,12 +41,12 @@ def test_the_papers_point_meets_the_papers_specifications() -> None:
 
 
 def test_readings_name_the_loop_they_are_of() -> None:
-    loops = Loops(G0, pid(*BEST_PID))
+    loops = ClosedLoops(G0, pid(*BEST_PID))
     assert readings([Specification("bandwidth_rad_s", 4.0)], loops)[0].reading == "crossover of GK"
 
 
 def test_every_quantity_can_be_read_and_printed() -> None:
-    loops = Loops(G0, pid(*PPID))
+    loops = ClosedLoops(G0, pid(*PPID))
     for quantity, kind in QUANTITIES.items():
         (reading,) = readings([Specification(quantity, 1.0, at=0.5)], loops)
         assert np.isfinite(reading.value)
@@ -57,7 +57,7 @@ def test_every_quantity_can_be_read_and_printed() -> None:
 
 def test_frequencies_of_a_sampled_loop_are_true_ones() -> None:
     sampling = Sampling(PERIOD_S, 1)
-    loops = Loops(paper_plant().transfer_function(sampling), pid(*BEST_PID), sampling=sampling)
+    loops = ClosedLoops(paper_plant().transfer_function(sampling), pid(*BEST_PID), sampling=sampling)
     G, K = to_z(loops.G, PERIOD_S), to_z(loops.K.feedback, PERIOD_S)
 
     def gain(omega: float) -> float:
@@ -71,14 +71,14 @@ def test_frequencies_of_a_sampled_loop_are_true_ones() -> None:
 
 
 def test_margins_in_their_units() -> None:
-    loops = Loops(G0, pid(*PPID))
+    loops = ClosedLoops(G0, pid(*PPID))
     assert read("gain_margin_db", loops) == pytest.approx(20.0 * np.log10(gain_margins(loops.open)[1][0]))
     assert read("phase_margin_deg", loops) == pytest.approx(np.degrees(phase_margin(loops.open)[0]))
 
 
 def test_effort_is_that_of_the_step_asked_for() -> None:
     kp, _, kd, tau_d = BEST_PID
-    loops = Loops(G0, pid(*BEST_PID))
+    loops = ClosedLoops(G0, pid(*BEST_PID))
     one, tenth = read("effort_v", loops, at=1.0), read("effort_v", loops, at=0.1)
     assert one == pytest.approx(kp + kd / tau_d)
     assert tenth == pytest.approx(0.1 * one)
@@ -96,7 +96,7 @@ def test_impossible_specifications_are_refused(quantity: str, limit: float, name
 
 
 def test_violations_are_relative_to_the_limit_and_add_up() -> None:
-    loops = Loops(G0, pid(*PPID))
+    loops = ClosedLoops(G0, pid(*PPID))
     settling = read("settling_s", loops)
     tight = [Specification("settling_s", settling / 2.0), Specification("bandwidth_rad_s", 1e9)]
     assert tight[0].violation(np.array([settling]))[0] == pytest.approx(1.0)
@@ -110,7 +110,7 @@ def test_violations_are_relative_to_the_limit_and_add_up() -> None:
 
 
 def test_a_loop_at_its_limit_meets_it_whatever_the_last_digits() -> None:
-    loops = Loops(G0, pid(*PPID))
+    loops = ClosedLoops(G0, pid(*PPID))
     settling = read("settling_s", loops)
     for limit, met in ((settling * (1.0 - 1e-9), True), (settling * (1.0 - 1e-5), False)):
         (reading,) = readings([Specification("settling_s", limit)], loops)
@@ -119,13 +119,13 @@ def test_a_loop_at_its_limit_meets_it_whatever_the_last_digits() -> None:
 
 def test_an_unstable_loop_is_worse_than_any_violation() -> None:
     K = STRUCTURES["pi"].controller(np.array([[500.0, 5.0], [0.01, 0.01]]))
-    unstable, slow = violations(PAPER, Loops(G0, K))
+    unstable, slow = violations(PAPER, ClosedLoops(G0, K))
     assert unstable > 1000.0 > slow > 0.0
-    assert not any(reading.met for reading in readings(PAPER, Loops(G0, pid(500.0, 5.0, 0.01, 1.0))))
+    assert not any(reading.met for reading in readings(PAPER, ClosedLoops(G0, pid(500.0, 5.0, 0.01, 1.0))))
 
 
 def test_the_compromise_names_what_fails_and_by_how_much() -> None:
-    loops = Loops(G0, pid(*PPID))
+    loops = ClosedLoops(G0, pid(*PPID))
     text = compromise("controller", {"kp": 11.013}, (), readings([Specification("settling_s", 0.5)], loops))
     assert "kp 11.01" in text
     assert "settling_s 0.8" in text

@@ -1,4 +1,4 @@
-"""Loops that a window of fixed length misreads: slow, hidden, ringing; and what cannot be told."""
+"""ClosedLoops that a window of fixed length misreads: slow, hidden, ringing; and what cannot be told."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import scipy.signal
 from support.given_responses import ONE, Modes, both, continuous_loop, readings, sampled_loop
 from support.paper_loop import PERIOD_S
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import PAPER, Specification, violations
 from design.closed_loop.specifications import readings as specified
-from design.models.controller import of_error
+from design.models.controller import one_degree_of_freedom
 from design.models.plant import Plant, Sampling, TransferFunction
 from design.synthesis.structures import STRUCTURES, IntegralWeight
 
@@ -43,7 +43,7 @@ def test_what_comes_later_is_read(name: str, period_s: float | None) -> None:
 def test_ringing_is_resolved_however_long_it_lasts(omega: float, damping: float) -> None:
     """w²/(s² + 2 z w s + w²), from z of 0.1 to one that rings for thousands of periods."""
     G = TransferFunction(np.array([omega**2]), np.array([1.0, 2.0 * damping * omega, 0.0]))
-    loops = Loops(G, ONE)
+    loops = ClosedLoops(G, ONE)
     root = np.sqrt(1.0 - damping**2)
     assert loops.overshoot[0] == pytest.approx(np.exp(-np.pi * damping / root), abs=2e-4)
     # The last peak outside of the band is the last whose envelope exp(-z w t) is.
@@ -68,7 +68,7 @@ def test_a_ringing_hidden_between_the_samples_of_a_window_is_found() -> None:
 
 def test_what_rings_too_long_to_be_followed_has_no_settling_time() -> None:
     G = TransferFunction(np.array([1e4]), np.array([1.0, 2e-5, 0.0]))
-    loops = Loops(G, ONE)
+    loops = ClosedLoops(G, ONE)
     assert loops.stable[0]
     assert loops.settling_s[0] == np.inf
     assert loops.overshoot[0] == pytest.approx(1.0, abs=1e-3)
@@ -79,7 +79,7 @@ def test_what_rings_too_long_to_be_followed_has_no_settling_time() -> None:
 def test_repeated_poles() -> None:
     """(s + 1)^-6 and, in the sampled loop, a delay of twenty samples."""
     den = np.poly(-np.ones(6))
-    loops = Loops(TransferFunction(np.ones(1), np.polysub(den, [1.0])), ONE)
+    loops = ClosedLoops(TransferFunction(np.ones(1), np.polysub(den, [1.0])), ONE)
     t = np.linspace(0.0, 30.0, 300_001)
     _, y = scipy.signal.step(([1.0], den), T=t)
     assert loops.settling_s[0] == pytest.approx(t[np.flatnonzero(np.abs(y - 1.0) > 0.02)[-1]], rel=1e-3)
@@ -88,8 +88,10 @@ def test_repeated_poles() -> None:
     plant = Plant(
         format="hil-plant", version=1, name="p", input_unit="V", output_unit="m", num=[1.0], den=[1.0, 0.0]
     )
-    loops = Loops(
-        plant.transfer_function(sampling), of_error(np.array([[1.0]]), np.array([[1.0]])), sampling=sampling
+    loops = ClosedLoops(
+        plant.transfer_function(sampling),
+        one_degree_of_freedom(np.array([[1.0]]), np.array([[1.0]])),
+        sampling=sampling,
     )
     y = np.zeros(2000)
     for k in range(len(y) - 1):
@@ -103,10 +105,10 @@ def test_a_batch_is_its_loops() -> None:
     """Fast, slow and ringing ones together: none depends on its neighbours."""
     G = TransferFunction(np.array([1.0]), np.array([1.0, 0.02, 4.0, 0.001]))
     values = np.array([[0.01, 0.001], [0.05, 0.01], [1e-4, 1e-4], [0.02, 0.02]])
-    together = Loops(G, STRUCTURES["pi"].controller(values))
+    together = ClosedLoops(G, STRUCTURES["pi"].controller(values))
     assert together.stable.all()
     for i, row in enumerate(values):
-        alone = Loops(G, STRUCTURES["pi"].controller(row[None, :]))
+        alone = ClosedLoops(G, STRUCTURES["pi"].controller(row[None, :]))
         for quantity in ("overshoot", "settling_s", "rise_s", "effort"):
             one, of_many = getattr(alone, quantity)[0], getattr(together, quantity)[i]
             assert of_many == pytest.approx(one, rel=1e-9), quantity
@@ -115,7 +117,7 @@ def test_a_batch_is_its_loops() -> None:
 def test_effort_that_grows_slowly() -> None:
     """u of an integrating controller on a slow plant goes to 1/G(0), long after the start."""
     G = TransferFunction(np.array([0.001]), np.array([1.0, 0.001]))
-    loops = Loops(G, STRUCTURES["pi"].controller(np.array([[0.2, 1e-5]])))
+    loops = ClosedLoops(G, STRUCTURES["pi"].controller(np.array([[0.2, 1e-5]])))
     assert loops.response(6.0).u[0].max() < 0.21
     assert loops.effort[0] == pytest.approx(1.0, rel=1e-4)
 
@@ -134,7 +136,7 @@ def test_final_value_and_settling_with_a_near_integrator(b: float) -> None:
     """The weight's slow pole b stays in the loop nearly cancelled; it is followed to the end."""
     G = TransferFunction(np.array([5.0]), np.array([1.0, 5.0]))
     W = IntegralWeight(b).controller(np.array([[0.05, 0.02]]))
-    loops = Loops(G, W)
+    loops = ClosedLoops(G, W)
     poles = np.roots(loops.closed[0])
     assert loops.error[0] == pytest.approx(1.0 / (1.0 + 0.05 * 0.02 / b))
     final = 1.0 - loops.error[0]

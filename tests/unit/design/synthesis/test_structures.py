@@ -16,7 +16,7 @@ from design.models.plant import Sampling, TransferFunction, paper_plant
 from design.robustness.central_controller import central_controllers
 from design.robustness.loop_shaping import shaped
 from design.robustness.margins import stability_margin
-from design.search.boxes import Parameter
+from design.search.bounds import Parameter
 from design.synthesis.structures import (
     STRUCTURES,
     Controller,
@@ -24,7 +24,7 @@ from design.synthesis.structures import (
     IntegralWeight,
     Structure,
     TustinLaw,
-    of_error,
+    one_degree_of_freedom,
     setpoint_parameters,
     tustin_law,
 )
@@ -94,7 +94,7 @@ def test_a_law_of_slow_poles_keeps_its_margin() -> None:
 
 def test_a_loop_shaping_controller_keeps_its_digits_as_a_law() -> None:
     K_inf, _ = central_controllers(shaped(G, W1))
-    K = of_error(poly.multiply(W1.num, K_inf.num), poly.multiply(W1.den, K_inf.den))
+    K = one_degree_of_freedom(poly.multiply(W1.num, K_inf.num), poly.multiply(W1.den, K_inf.den))
     law = tustin_law(K, PERIOD_S)
     assert isinstance(law, StateSpaceLaw)
     running = controller_of_law(law, PERIOD_S)
@@ -123,7 +123,7 @@ def test_a_users_structure_is_a_small_class() -> None:
         def controller(self, values: Array) -> Controller:
             ki, tau = values.T
             one = np.ones_like(ki)
-            return of_error(ki[:, None], np.stack([tau, one, 0.0 * one], axis=-1))
+            return one_degree_of_freedom(ki[:, None], np.stack([tau, one, 0.0 * one], axis=-1))
 
     mine = FilteredIntegral()
     assert isinstance(mine, Structure)
