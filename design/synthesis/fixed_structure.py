@@ -2,8 +2,7 @@
 
 Over one plant, or the worst of several with one weight; continuous, or in the sampled loop with hold and
 delay, the controller by Tustin's rule: what is judged is what runs. Fitness is ε where the loop is stable
-and meets its specifications (if any); else it is below 0 and graded, so that a stable loop of small margin
-never ranks below an unstable one (as it does in eq. (14), with its 0.01).
+and meets its specifications (if any); otherwise it is below 0 (see ``design.closed_loop.assessment``).
 
 Parameters that no margin sees (setpoint weights) are chosen last, the feedback as it is: those with which
 specifications hold, and among them those of least ∫ t |e| dt after a setpoint step (ITAE).
@@ -17,17 +16,10 @@ from functools import partial
 
 import numpy as np
 
+from design.closed_loop.assessment import Assessment, assess, worst
 from design.closed_loop.loops import ClosedLoops
-from design.closed_loop.specifications import (
-    Reading,
-    Specification,
-    compromise,
-    enough_violation,
-    readings,
-    violations,
-)
+from design.closed_loop.specifications import Reading, Specification, compromise, readings, violations
 from design.errors import InfeasibleError, NotStabilisedError
-from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array, Indices
 from design.models.plant import Plant, Sampling, TransferFunction, limit_notes, loop_models
 from design.robustness import margins
@@ -100,21 +92,17 @@ def synthesise(
     def whole(points: Array) -> Array:
         return _placed(np.full(len(box), 0.5), searched, points)
 
-    def objective(some: Array, worth: Array) -> Array:
-        points = whole(some)
+    def assessments(points: Array, cutoff: Array | None = None) -> list[Assessment]:
         K = structure.controller(box.decode(points))
-        fitness = np.full(len(points), np.inf)
+        found = []
         for G in models:
-            margin = margins.stability_margin(G, K.feedback, weight, worth)
-            unstable = margin == 0.0
-            if unstable.any():
-                closed = np.atleast_2d(margins.characteristic(G, K.feedback))[unstable]
-                margin[unstable] = -1e4 - np.minimum(poly.spectral_abscissa(closed), 1e8)
-            if specifications:
-                failing = violations(specifications, loops(G, points), enough_violation(worth, margin))
-                margin = np.where(unstable | (failing <= 0.0), margin, -failing)
-            fitness = np.minimum(fitness, margin)
-        return fitness
+            batch = ClosedLoops(G, K, W=weight, sampling=sampling)
+            margin = margins.stability_margin(G, K.feedback, weight, cutoff)
+            found.append(assess(batch, margin, margin > 0.0, specifications, cutoff))
+        return found
+
+    def objective(points: Array, cutoff: Array) -> Array:
+        return worst(assessments(whole(points), cutoff)).fitness
 
     make = searcher or partial(DifferentialEvolution, seed=seed, evaluations=evaluations)
     search = maximise(objective, make(len(searched)), on_progress)
@@ -122,28 +110,28 @@ def synthesise(
     if setpoint and search.best_fitness > 0.0:
         which, feedback = np.flatnonzero(is_setpoint), best[0]
 
-        def setpoint_objective(points: Array, _worth: Array) -> Array:
+        def setpoint_objective(points: Array, _cutoff: Array) -> Array:
             wanted, there = (*specifications, *aims), _placed(feedback, which, points)
             batches = [loops(G, there) for G in models]
-            worst = [1e6 * violations(wanted, batch) + np.minimum(batch.itae, 1e5) for batch in batches]
-            return np.asarray(-np.max(worst, axis=0))
+            costs = [1e6 * violations(wanted, batch) + np.minimum(batch.itae, 1e5) for batch in batches]
+            return np.asarray(-np.max(costs, axis=0))
 
         last = DifferentialEvolution(len(which), seed=seed, evaluations=_SETPOINT_EVALUATIONS * len(which))
         best = _placed(feedback, which, maximise(setpoint_objective, last).best[None, :])
     values = box.decode(best)[0]
     parameters = dict(zip(box.names, map(float, values), strict=True))
     at_bounds = tuple(name for name in box.at_bounds(best[0]) if name not in setpoint)
-    if search.best_fitness <= -1e4:
+    found = assessments(best)
+    if not all(one.stable[0] for one in found):
         raise NotStabilisedError(
-            f"no {type(structure).__name__} in its box stabilises the plant: the best of "
+            f"no {type(structure).__name__} within the search bounds stabilises the plant: the best of "
             f"{search.evaluations} candidates still has a closed-loop pole at Re s = "
-            f"{-search.best_fitness - 1e4:.3g} rad/s; widen the boxes, or choose another structure"
+            f"{worst(found).growth[0]:.3g} rad/s; widen the bounds, or choose another structure"
             + limit_notes(plants, sampling)
         )
-    batches = [loops(G, best) for G in models]
-    eps = [float(batch.margin[0]) for batch in batches]
-    worst = max(batches, key=lambda batch: float(violations(specifications, batch)[0]))
-    read = readings(specifications, worst)
+    eps = [float(one.margin[0]) for one in found]
+    most_violated = int(np.argmax([one.violation[0] for one in found]))
+    read = readings(specifications, loops(models[most_violated], best))
     if search.best_fitness < 0.0:
         raise InfeasibleError(
             compromise("controller", parameters, at_bounds, read) + limit_notes(plants, sampling)

@@ -310,7 +310,7 @@ def test_infeasible_specifications_name_what_fails_and_by_how_much(
 ) -> None:
     (here / "d.toml").write_text("[specifications]\nsettling_s = 0.02\novershoot = 0.9\n" + SHORT)
     said = error_of(["--design", "d.toml"], capsys)
-    assert "no weight in its box meets all specifications" in said
+    assert "no weight within the search bounds meets all specifications" in said
     assert "settling_s" in said
     assert "NOT met (<= 0.02" in said
     assert "overshoot" not in said.split("Best compromise")[1], "only what fails is named"

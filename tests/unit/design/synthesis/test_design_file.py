@@ -250,7 +250,7 @@ def test_refused_with_file_and_key(text: str, message: str) -> None:
 
 
 def test_unknown_parameter_and_structure_name_what_exists() -> None:
-    with pytest.raises(DesignError, match=r"no parameter kq .* it has kp, ki, kd, tau_d"):
+    with pytest.raises(DesignError, match=r"no parameter kq; it has kp, ki, kd, tau_d"):
         read_design("[controller.box]\nkq = { low = 1.0, high = 2.0 }\n", "d").controller_structure()
     with pytest.raises(DocumentError, match=r"'pidd': not one of p, pi, pd, pid, .*free"):
         read_design('[controller]\nstructure = "pidd"\n', "d").controller_structure()

@@ -154,7 +154,9 @@ def test_setpoint_weights_meet_what_they_can_at_no_cost_of_margin() -> None:
 
 
 def test_infeasible_specifications() -> None:
-    with pytest.raises(InfeasibleError, match=r"(?s)no controller in its box.*settling_s .*\(<= 0.01"):
+    with pytest.raises(
+        InfeasibleError, match=r"(?s)no controller within the.*settling_s .*\(<= 0.01"
+    ):
         synthesise(
             paper_plant(),
             W1,
@@ -167,7 +169,9 @@ def test_infeasible_specifications() -> None:
 def test_a_structure_that_cannot_stabilise_the_plant() -> None:
     # A double integrator under P control stays on the axis at best, with an unstable pole it never settles.
     runaway = plant([1.0], [1.0, -1.0, 0.0])
-    with pytest.raises(NotStabilisedError, match=r"no Proportional in its box stabilises.*Re s ="):
+    with pytest.raises(
+        NotStabilisedError, match=r"no Proportional within .* bounds stabilises.*Re s ="
+    ):
         synthesise(runaway, W1, STRUCTURES["p"], evaluations=300)
     assert issubclass(NotStabilisedError, DesignError)
 

@@ -82,7 +82,9 @@ def test_must_meet_specifications_binds_the_designed_loop() -> None:
 
 def test_specifications_that_the_structure_cannot_meet_are_infeasible() -> None:
     text = SHORT + '[controller]\nstructure = "p"\nmust_meet_specifications = true\n'
-    with pytest.raises(InfeasibleError, match=r"(?s)no controller in its box .* error .* NOT met"):
+    with pytest.raises(
+        InfeasibleError, match=r"(?s)no controller within the .* error .* NOT met"
+    ):
         design_controller(read_design(text, "d.toml"), paper_plant())
 
 
