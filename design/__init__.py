@@ -5,7 +5,8 @@ package imports nothing else; scipy, control and matplotlib are imported where t
 
 The way through it, as one program::
 
-    from design.models.plant import Sampling, paper_plant
+    from design.models.plant import paper_plant
+    from design.models.sampling import Sampling
     from design.synthesis.structures import STRUCTURES
     from design.synthesis.fixed_structure import synthesise
     from design.synthesis.weight_selection import select_weight

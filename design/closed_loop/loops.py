@@ -12,8 +12,9 @@ from design.closed_loop.step_simulation import modes, simulate_steps
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array, Flags, Indices
 from design.models.controller import Controller
-from design.models.plant import Sampling, TransferFunction
 from design.models.realisation import StateSpace
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness import margins
 from design.robustness.loop_shaping import shaped
 

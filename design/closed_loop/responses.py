@@ -14,8 +14,9 @@ import numpy as np
 from design.mathematics.matrix_exponential import exponential
 from design.mathematics.polynomials import Array
 from design.models.controller import Controller
-from design.models.plant import Sampling, TransferFunction
-from design.models.realisation import StateSpace, observer_form, sampled
+from design.models.realisation import StateSpace, observer_form, tustin
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 
 
 class StepResponses(NamedTuple):
@@ -36,7 +37,7 @@ def step_responses(
     """
     with np.errstate(all="ignore"):
         loop = closed_loop(G, K)
-        A, B, C, D = loop if sampling is None else sampled(loop, sampling.period_s)
+        A, B, C, D = loop if sampling is None else tustin(loop, sampling.period_s)
         n = A.shape[-1]
         M = np.zeros((len(A), n + 1, n + 1))
         M[:, :n, :n], M[:, :n, n:] = A, B

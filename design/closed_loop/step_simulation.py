@@ -19,8 +19,8 @@ from design.closed_loop.step_readings import BAND, ReadingCollector, SampleBlock
 from design.mathematics import polynomials as poly
 from design.mathematics.matrix_exponential import exponential
 from design.mathematics.polynomials import Array, Flags, Indices
-from design.models.plant import Sampling
-from design.models.realisation import StateSpace, sampled
+from design.models.realisation import StateSpace, tustin
+from design.models.sampling import Sampling
 
 _FIRST_SAMPLES, _LATER_SAMPLES = 256, 128
 """Samples of the first block, and of each later block."""
@@ -149,7 +149,7 @@ class _Simulation:
             step, slope, output = exponential(A * self._step_s[:, None, None]), A, loop.C
         else:
             self._step_s = np.full(len(A), sampling.period_s)
-            step, _, output, _ = sampled(loop, sampling.period_s)
+            step, _, output, _ = tustin(loop, sampling.period_s)
             slope = (step - np.eye(A.shape[-1])) / sampling.period_s
         self._rows = np.concatenate([output, output @ slope], axis=1)
         """Rows (B, 2, n) that take a state to the output's value and slope."""

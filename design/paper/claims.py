@@ -17,7 +17,8 @@ from design.closed_loop.specifications import PAPER, Reading
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
 from design.models.controller import Controller
-from design.models.plant import Plant, TransferFunction
+from design.models.plant import Plant
+from design.models.transfer_function import TransferFunction
 from design.paper.searches import PaperSearches, Runs
 from design.paper.verdicts import Verdict, number, statement
 from design.robustness import margins

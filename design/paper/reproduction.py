@@ -14,7 +14,8 @@ from design.closed_loop.comparison import Problem
 from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import readings
 from design.models.controller import one_degree_of_freedom
-from design.models.plant import Sampling, paper_plant
+from design.models.plant import paper_plant
+from design.models.sampling import Sampling
 from design.paper.claims import HLS, PERIOD_S, PPID, W1, Evidence, judge
 from design.paper.searches import run_searches
 from design.paper.verdicts import Verdict

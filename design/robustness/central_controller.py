@@ -29,7 +29,7 @@ import numpy as np
 from design.mathematics import polynomials as poly
 from design.mathematics.peaks import SquaredMagnitude
 from design.mathematics.polynomials import Array, ComplexArray
-from design.models.plant import TransferFunction
+from design.models.transfer_function import TransferFunction
 from design.robustness.loop_shaping import check_factor
 
 _ANGLES = np.pi / 16.0 * np.arange(16)

@@ -16,8 +16,8 @@ import numpy as np
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
-from design.models.plant import TransferFunction
 from design.models.realisation import StateSpace, realise
+from design.models.transfer_function import TransferFunction
 
 
 class LoopShaping(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 from design.mathematics import polynomials as poly
 from design.mathematics.peaks import SquaredMagnitude, SquaredMagnitudeInX, peak
 from design.mathematics.polynomials import Array, Flags
-from design.models.plant import TransferFunction
+from design.models.transfer_function import TransferFunction
 
 UNIT = TransferFunction(np.ones((1, 1)), np.ones((1, 1)))
 """The weight W1 = 1."""

@@ -16,7 +16,7 @@ import numpy as np
 from design.mathematics import polynomials as poly
 from design.mathematics.peaks import SquaredMagnitude, peak
 from design.mathematics.polynomials import Array
-from design.models.plant import TransferFunction
+from design.models.transfer_function import TransferFunction
 
 
 def chordal_distance(G1: TransferFunction, G2: TransferFunction, omega: Array) -> Array:

@@ -16,7 +16,8 @@ import numpy as np
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
 from design.models.controller import Controller, one_degree_of_freedom
-from design.models.plant import Sampling, TransferFunction
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.central_controller import central_controllers
 from design.robustness.loop_shaping import shaped
 

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from design.closed_loop.specifications import PAPER, Specification
-from design.models.plant import Sampling
+from design.models.sampling import Sampling
 from design.search.bounds import Parameter, with_bounds
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.genetic_algorithm import GeneticAlgorithm

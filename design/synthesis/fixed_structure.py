@@ -21,7 +21,10 @@ from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import Reading, Specification, compromise, readings, violations
 from design.errors import InfeasibleError, NotStabilisedError
 from design.mathematics.polynomials import Array, Indices
-from design.models.plant import Plant, Sampling, TransferFunction, limit_notes, loop_models
+from design.models.plant import Plant
+from design.models.plant_set import limit_notes, loop_models
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness import margins
 from design.robustness.central_controller import optimal_margins
 from design.robustness.loop_shaping import shaped

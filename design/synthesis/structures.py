@@ -17,8 +17,9 @@ from design.errors import DesignError
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
 from design.models.controller import Controller, one_degree_of_freedom
-from design.models.plant import TransferFunction, to_z
-from design.models.realisation import observer_form, sampled
+from design.models.realisation import observer_form, tustin
+from design.models.sampling import to_z
+from design.models.transfer_function import TransferFunction
 from design.search.bounds import Parameter, SearchBounds
 from hil.core.controller_file import Law, PidLaw, StateSpaceLaw, TransferFunctionLaw
 
@@ -83,7 +84,7 @@ def tustin_law(controller: Controller, period_s: float) -> Law:
         feedback = to_z(TransferFunction(num, den), period_s)
         return TransferFunctionLaw(num=feedback.num[0].tolist(), den=feedback.den[0].tolist())
     inputs = (num,) if one_degree else (num_r, -num)
-    A, B, C, D = (matrix[0].tolist() for matrix in sampled(observer_form(den, *inputs), period_s))
+    A, B, C, D = (matrix[0].tolist() for matrix in tustin(observer_form(den, *inputs), period_s))
     return StateSpaceLaw(A=A, B=B, C=C, D=D, inputs="e" if one_degree else "r, y")
 
 

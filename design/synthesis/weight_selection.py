@@ -27,7 +27,10 @@ from design.errors import InfeasibleError, NotStabilisedError
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
 from design.models.controller import one_degree_of_freedom
-from design.models.plant import Plant, Sampling, TransferFunction, limit_notes, loop_models
+from design.models.plant import Plant
+from design.models.plant_set import limit_notes, loop_models
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.central_controller import central_controllers
 from design.robustness.loop_shaping import shaped
 from design.search.bounds import SearchBounds

@@ -231,7 +231,7 @@ def exactness(examples: int) -> Exactness:
 
     @seed(1)
     @settings(max_examples=examples, database=None, deadline=None, suppress_health_check=list(HealthCheck))
-    @given(systems(), systems(least_order=0, most_order=4))
+    @given(systems(), systems(min_order=0, max_order=4))
     def compare(G: System, K: System) -> None:
         roots = poly.roots(np.atleast_2d(characteristic(G.polynomials, K.polynomials)))[0]
         if np.any(np.abs(roots.real) < 1e-6 * np.maximum(np.abs(roots), 1.0)):

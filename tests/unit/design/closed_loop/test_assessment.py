@@ -10,7 +10,7 @@ from design.closed_loop.assessment import Assessment, assess, worst
 from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import MAX_VIOLATION, PAPER, QUANTITIES, Specification, violations
 from design.models.controller import Controller
-from design.models.plant import TransferFunction
+from design.models.transfer_function import TransferFunction
 from design.synthesis.structures import STRUCTURES
 
 UNSTABLE, SLOW, MORE_UNSTABLE = [500.0, 5.0], [0.01, 0.01], [5000.0, 5.0]

@@ -10,7 +10,9 @@ from support.paper_loop import BEST_PI, BEST_PID, G0, HLS, PERIOD_S, PPID, W1, p
 from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.responses import step_responses
 from design.models.controller import Controller, one_degree_of_freedom
-from design.models.plant import Sampling, TransferFunction, paper_plant, to_z
+from design.models.plant import paper_plant
+from design.models.sampling import Sampling, to_z
+from design.models.transfer_function import TransferFunction
 from design.synthesis.structures import STRUCTURES
 
 HLS_CONTROLLER = one_degree_of_freedom(HLS.num, HLS.den)

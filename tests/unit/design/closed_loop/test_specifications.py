@@ -17,7 +17,9 @@ from design.closed_loop.specifications import (
 )
 from design.errors import DesignError
 from design.models.controller import one_degree_of_freedom
-from design.models.plant import Sampling, TransferFunction, paper_plant, to_z
+from design.models.plant import paper_plant
+from design.models.sampling import Sampling, to_z
+from design.models.transfer_function import TransferFunction
 from design.robustness.loop_shaping import shaped
 from design.robustness.margins import gain_margins, phase_margin
 

@@ -12,7 +12,9 @@ from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import PAPER, Specification, violations
 from design.closed_loop.specifications import readings as specified
 from design.models.controller import one_degree_of_freedom
-from design.models.plant import Plant, Sampling, TransferFunction
+from design.models.plant import Plant
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.synthesis.structures import STRUCTURES, IntegralWeight
 
 FAST = (-1.0 + 0.0j, -1.0 + 0.0j)

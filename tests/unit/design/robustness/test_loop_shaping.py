@@ -8,8 +8,10 @@ from support.paper_loop import G0, HLS, PERIOD_S, W1
 
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
-from design.models.plant import Sampling, TransferFunction, paper_plant
+from design.models.plant import paper_plant
 from design.models.realisation import realise, transfer_function
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.central_controller import central_controllers, optimal_margins
 from design.robustness.loop_shaping import gamma_opt, normalised_left_coprime_factors, shaped, synthesise
 from design.robustness.margins import stability_margin

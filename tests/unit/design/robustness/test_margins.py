@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from support.paper_loop import BEST_PI, BEST_PID, G0, HLS, PERIOD_S, PPID, W1, pi, pid
 
-from design.models.plant import Sampling, TransferFunction, paper_plant
+from design.models.plant import paper_plant
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.loop_shaping import shaped
 from design.robustness.margins import (
     bandwidth,

@@ -10,7 +10,7 @@ import pytest
 
 from design.closed_loop.specifications import PAPER, QUANTITIES, Specification
 from design.errors import DesignError
-from design.models.plant import Sampling
+from design.models.sampling import Sampling
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.genetic_algorithm import GeneticAlgorithm
 from design.synthesis.design_file import (

@@ -12,7 +12,8 @@ from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import Specification, violations
 from design.errors import DesignError, InfeasibleError, NotStabilisedError
 from design.models.controller import controller_of_law
-from design.models.plant import Plant, Sampling, paper_plant
+from design.models.plant import Plant, paper_plant
+from design.models.sampling import Sampling
 from design.robustness.margins import stability_margin
 from design.search.bounds import Parameter, with_bounds
 from design.search.genetic_algorithm import GeneticAlgorithm
@@ -154,9 +155,7 @@ def test_setpoint_weights_meet_what_they_can_at_no_cost_of_margin() -> None:
 
 
 def test_infeasible_specifications() -> None:
-    with pytest.raises(
-        InfeasibleError, match=r"(?s)no controller within the.*settling_s .*\(<= 0.01"
-    ):
+    with pytest.raises(InfeasibleError, match=r"(?s)no controller within the.*settling_s .*\(<= 0.01"):
         synthesise(
             paper_plant(),
             W1,
@@ -169,9 +168,7 @@ def test_infeasible_specifications() -> None:
 def test_a_structure_that_cannot_stabilise_the_plant() -> None:
     # A double integrator under P control stays on the axis at best, with an unstable pole it never settles.
     runaway = plant([1.0], [1.0, -1.0, 0.0])
-    with pytest.raises(
-        NotStabilisedError, match=r"no Proportional within .* bounds stabilises.*Re s ="
-    ):
+    with pytest.raises(NotStabilisedError, match=r"no Proportional within .* bounds stabilises.*Re s ="):
         synthesise(runaway, W1, STRUCTURES["p"], evaluations=300)
     assert issubclass(NotStabilisedError, DesignError)
 

@@ -12,7 +12,9 @@ from design.errors import DesignError
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
 from design.models.controller import controller_of_law
-from design.models.plant import Sampling, TransferFunction, paper_plant
+from design.models.plant import paper_plant
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.central_controller import central_controllers
 from design.robustness.loop_shaping import shaped
 from design.robustness.margins import stability_margin

@@ -10,7 +10,8 @@ from support.paper_loop import PERIOD_S, W1
 
 from design.closed_loop.specifications import PAPER, Specification
 from design.errors import InfeasibleError
-from design.models.plant import Plant, Sampling, paper_plant
+from design.models.plant import Plant, paper_plant
+from design.models.sampling import Sampling
 from design.search.bounds import Parameter, with_bounds
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.genetic_algorithm import GeneticAlgorithm
