@@ -26,6 +26,7 @@ from design.mathematics.polynomials import Array, Flags
 _BELOW_STABLE = 1e4
 """Fitness below which unstable loops rank; more than all violations together can amount to."""
 _MAX_GROWTH = 1e8
+"""Growth in 1/s beyond which unstable loops rank alike."""
 
 
 class Assessment(NamedTuple):

@@ -119,17 +119,17 @@ class ClosedLoops:
 
     @property
     def settling_s(self) -> Array:
-        """Time (B,) after which y stays within 2 % of its final value; ∞ where overshoot is."""
+        """Time (B,) after which y stays within 2 % of its final value; ∞ where unstable or the value is 0."""
         return self._output.settling_s
 
     @property
     def rise_s(self) -> Array:
-        """Time (B,) from 10 % to 90 % of the final value; ∞ where overshoot is."""
+        """Time (B,) from 10 % to 90 % of y's final value; ∞ where unstable or the value is 0."""
         return self._output.rise_s
 
     @property
     def itae(self) -> Array:
-        """Integral of t |1 - y| dt (B,) in s², y relative to its final value; ∞ where overshoot is."""
+        """Integral of t |1 - y/y(∞)| dt (B,) in s²; ∞ where unstable or the final value y(∞) is 0."""
         return self._output.itae
 
     @cached_property

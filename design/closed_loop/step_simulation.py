@@ -39,6 +39,7 @@ This resolves modes with a damping ratio of 1e-4 or more. A mode with less dampi
 _UNRESOLVED = 0.1 * BAND
 """Size of the unresolved modes together beyond which a settling time cannot be determined."""
 _MAX_BLOCKS = 60
+"""Largest number of blocks, each of which doubles the time that has been simulated."""
 _MAX_SAMPLES = 1 << 19
 """Largest number of samples in memory at a time."""
 

@@ -25,6 +25,7 @@ from design.mathematics.polynomials import Array
 _HIGHER = 1.0 + 1e-11
 """Factor by which a new level must exceed the previous one; a smaller gain is rounding."""
 _MAX_ROUNDS = 30
+"""Largest number of level polynomials; a few suffice."""
 _BLURRED = 1e-9
 """Relative difference between both ways to evaluate the ratio above which its coefficients are imprecise."""
 

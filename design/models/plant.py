@@ -34,7 +34,9 @@ MAX_ORDER = 20
 MIN_COEFFICIENT, MAX_COEFFICIENT = 1e-100, 1e100
 """Moduli between which coefficients must lie unless they are 0; the mathematics squares them."""
 _ROUNDING = 1e-9
-"""Delay, relative to a period, that is rounding."""
+"""Share of a period below which a delay is a rounding error."""
+_COVARIANCE_ROUNDING = 1e-9
+"""Relative asymmetry, or negative eigenvalue, of a covariance that is a rounding error."""
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -114,7 +116,7 @@ class Plant(Document, frozen=True, kw_only=True, omit_defaults=True):
         return abs(self.own_dead_time_s) <= _ROUNDING * (self.sample_time_s or self.dead_time_s or 1.0)
 
     def loop_delay_s(self, sampling: Sampling) -> float:
-        """Return the delay in s between a command of the loop and num/den.
+        """Return the delay in s, beside num/den and the hold, of a loop with this plant.
 
         Raises DesignError if the model contains more delay than the loop has.
         """
@@ -233,10 +235,10 @@ def _check_covariance(covariance: Covariance, source: str) -> None:
         raise DocumentError(f"{source}.matrix: it must have {n} rows of {n} numbers, one for each parameter")
     matrix = np.array(covariance.matrix)
     size = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
-    if (np.abs(matrix - matrix.T) > _ROUNDING * size).any():
+    if (np.abs(matrix - matrix.T) > _COVARIANCE_ROUNDING * size).any():
         raise DocumentError(f"{source}.matrix: it is not symmetric, so it is no covariance")
     scaled = matrix / np.where(size > 0.0, size, 1.0)
-    if (np.diag(matrix) < 0.0).any() or np.linalg.eigvalsh(scaled).min() < -_ROUNDING:
+    if (np.diag(matrix) < 0.0).any() or np.linalg.eigvalsh(scaled).min() < -_COVARIANCE_ROUNDING:
         raise DocumentError(f"{source}.matrix: it has a negative eigenvalue, so it is no covariance")
 
 

@@ -1,7 +1,7 @@
 """What a plant makes hard or impossible for every controller: hidden unstable modes, zeros, poles and delays.
 
 Source: Skogestad and Postlethwaite, Multivariable Feedback Control, 2nd ed., secs 4.7 and 5.6 to 5.9. Only a
-hidden unstable mode is refused; everything else here is said in words, and decides nothing.
+hidden unstable mode is refused. All other findings are hints to the user, and change no result.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ class StateSpace(NamedTuple):
 def observer_form(den: Array, *nums: Array) -> StateSpace:
     """Return B systems with one output and one input for each numerator, all over ``den`` (B, n + 1).
 
-    The output is the first state plus D u. Raises nothing; ``den`` must not begin with 0.
+    The output is the first state plus D u. No ``den`` may begin with 0.
     """
     n = den.shape[-1] - 1
     size = max(len(den), *(len(num) for num in nums))

@@ -33,7 +33,9 @@ from design.models.transfer_function import TransferFunction
 from design.robustness.loop_shaping import check_factor
 
 _ANGLES = np.pi / 16.0 * np.arange(16)
+"""Angles among which the mixture of both divisibility conditions is chosen."""
 _NEARLY_ZERO = 1e-100
+"""Number added to avoid a division by 0."""
 _HUGE = 1e60
 """Entry of R where the plant hides an unstable mode, so that no controller stabilises it."""
 
