@@ -21,6 +21,7 @@ import numpy as np
 
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
+from design.mathematics.matrix_exponential import exponential
 from design.mathematics.polynomials import Array
 from design.models.realisation import numerator
 from design.models.transfer_function import TransferFunction
@@ -191,12 +192,10 @@ def _scaled(G: TransferFunction, period_s: float) -> _Scaled:
 
 def _integral(A: Array, time: float) -> Array:
     """Return φ(time), the integral of exp(A s) from 0 to ``time``."""
-    from scipy.linalg import expm
-
     n = len(A)
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:] = A, np.eye(n)
-    return np.asarray(expm(block * time)[:n, n:])
+    return exponential(block[None] * time)[0, :n, n:]
 
 
 def _in_true_time(num_w: Array, plant: _Scaled) -> TransferFunction:

@@ -193,12 +193,12 @@ def test_a_plant_from_there_is_checked_like_any_other() -> None:
     assert isinstance(plant_from_control(control.tf([1.0], [1.0, 1.0]), name="p", output_unit="m"), Plant)
 
 
-def test_no_command_imports_python_control(tmp_path: Path) -> None:
-    """Its import takes longer than a whole design."""
+def test_a_design_imports_neither_python_control_nor_scipy(tmp_path: Path) -> None:
+    """Importing one of them takes a good part of the time of a whole design."""
     code = (
         "import sys; from hil.cli import main; import design.python_control\n"
         "status = main(['design', '--out', sys.argv[1]])\n"
-        "assert not {'control', 'slycot', 'matplotlib'} & set(sys.modules)\n"
+        "assert not {'control', 'slycot', 'matplotlib', 'scipy'} & set(sys.modules)\n"
         "sys.exit(status)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=True, capture_output=True)
