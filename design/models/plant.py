@@ -136,10 +136,10 @@ class Plant(Document, frozen=True, kw_only=True, omit_defaults=True):
         """Return G(s), or with ``sampling`` the hold, the plant and all delays in the bilinear plane.
 
         Both are exact. Raises DesignError for a continuous loop with a dead time, which no polynomials can
-        represent, and as :meth:`loop_delay_s` does.
+        represent, and as :meth:`loop_delay_s` and :func:`zero_order_hold` do.
         """
         if sampling is not None:
-            return zero_order_hold(self.rational_part, sampling.period_s, self.loop_delay_s(sampling))
+            return self._behind_hold(sampling.period_s, self.loop_delay_s(sampling))
         if not self.is_rational:
             what = (
                 f"dead_time_s: the plant has a dead time of {self.own_dead_time_s:g} s"
@@ -157,7 +157,13 @@ class Plant(Document, frozen=True, kw_only=True, omit_defaults=True):
 
         It contains the delays that the model contains, and no others.
         """
-        return zero_order_hold(self.rational_part, period_s, self.dead_time_s)
+        return self._behind_hold(period_s, self.dead_time_s)
+
+    def _behind_hold(self, period_s: float, delay_s: float) -> TransferFunction:
+        try:
+            return zero_order_hold(self.rational_part, period_s, delay_s)
+        except DesignError as error:
+            raise DesignError(f"plant {self.name}: {error}") from None
 
 
 def read_plant(text: str, source: str) -> Plant:

@@ -276,7 +276,7 @@ def test_init_writes_the_example_once(here: Path, capsys: pytest.CaptureFixture[
     ("changes", "message"),
     [
         ({"num": [0.0]}, "plant.json: num: the plant's gain is 0"),
-        ({"num": [1.0, 2.0, 3.0], "den": [1.0, 1.0]}, "plant.json: num has degree 2, den 1: the model is improper"),
+        ({"num": [1.0, 2.0, 3.0], "den": [1.0, 1.0]}, "num has degree 2, den 1: the model is improper"),
         ({"output_unit": "mm"}, "plant.json: output_unit: 'mm'"),
         ({"nmu": [1.0]}, "plant.json: object contains unknown field `nmu`"),
     ],

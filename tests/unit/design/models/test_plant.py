@@ -224,6 +224,11 @@ def test_a_continuous_loop_cannot_represent_a_dead_time() -> None:
         assert used.tolist() == given.tolist()
 
 
+def test_a_dead_time_of_too_many_periods_is_refused_by_name() -> None:
+    with pytest.raises(DesignError, match=r"plant paper: the loop's delay, 0\.5112 s, is 45\.6 periods"):
+        plant(dead_time_s=0.5).transfer_function(Sampling(PERIOD_S, 1))
+
+
 def test_a_record_shows_the_delays_that_the_model_contains() -> None:
     identified = plant(dead_time_s=0.0168, contains_delay_samples=1)
     model, loop = identified.record_model(PERIOD_S), identified.transfer_function(Sampling(PERIOD_S, 1))
