@@ -39,7 +39,7 @@ _COVARIANCE_ROUNDING = 1e-9
 """Relative asymmetry, or negative eigenvalue, of a covariance that is a rounding error."""
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+DeadTime = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 
 
 class DiscreteModel(Document, frozen=True):
@@ -72,7 +72,7 @@ class Plant(Document, frozen=True, kw_only=True, omit_defaults=True):
     """Numerator in falling powers of s."""
     den: list[float]
     """Denominator in falling powers of s."""
-    dead_time_s: NonNegative = 0.0
+    dead_time_s: DeadTime = 0.0
     """Dead time of the model in s, in addition to num/den."""
     contains_delay_samples: Annotated[int, msgspec.Meta(ge=0, le=20)] = 0
     """Periods of ``sample_time_s`` of the rig's transport delay that the model contains."""

@@ -93,6 +93,7 @@ def test_what_an_identification_adds_is_read_and_written() -> None:
         ({"num": [1e300]}, "num[0]: 1e+300 is neither 0 nor between 1e-100 and 1e+100"),
         ({"den": [1.0, 2.0, 1e-200]}, "den[2]: 1e-200 is neither 0 nor between"),
         ({"dead_time_s": -0.01}, "dead_time_s"),
+        ({"dead_time_s": 11.0}, "dead_time_s"),
         ({"contains_delay_samples": -1}, "contains_delay_samples"),
         ({"contains_delay_samples": 1.5}, "contains_delay_samples"),
         (
