@@ -1,4 +1,4 @@
-"""What can go wrong in a design for reasons the user can put right."""
+"""The errors of a design that the user can correct."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from hil.core.errors import HilError
 
 
 class DesignError(HilError):
-    """A design cannot be carried out as asked; the text says why and what to change."""
+    """A design cannot be made as requested; the text says why, and what to change."""
 
 
 class InfeasibleError(DesignError):
-    """No candidate met the specifications; names what failed, and by how much, at the best compromise."""
+    """No candidate meets the specifications; the text names those that fail, at the best compromise found."""
 
 
 class NotStabilisedError(DesignError):
-    """No candidate of the structure stabilised the plant (or every plant of a set)."""
+    """No candidate of the structure stabilises the plant, or every plant of a set."""

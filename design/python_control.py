@@ -1,8 +1,8 @@
-"""To and from python-control: plants, and a controller file's law as the daemon runs it.
+"""Conversions to and from python-control: plants, and a controller file's law as the daemon runs it.
 
-For those who know python-control: bring a model from there, or check a finished controller with its tools.
-Signals are named r, y and u, so that ``control.interconnect`` closes the loop by itself. python-control is
-imported when a function is called, and by nothing else in this package.
+They serve to bring a model from python-control, and to check a finished controller with its tools. Signals
+are named r, y and u, so that ``control.interconnect`` connects the loop. python-control is imported when a
+function is called.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import numpy as np
 
 from design.errors import DesignError
 from design.mathematics.polynomials import Array
-from design.models.plant import Plant, Sampling, read_plant
-from design.models.realisation import StateSpace, realise, sampled, transfer_function
+from design.models.plant import Plant, read_plant
+from design.models.realisation import StateSpace, realise, transfer_function, tustin
+from design.models.sampling import Sampling
 from hil.core import control_law as laws
 from hil.core.controller_file import ControllerFile
 from hil.core.documents import to_json
@@ -26,22 +27,28 @@ if TYPE_CHECKING:
 def plant_to_control(
     plant: Plant, sampling: Sampling | None = None
 ) -> control.TransferFunction | control.StateSpace:
-    """G(s) as a transfer function; with ``sampling`` hold, plant and delay as a sampled state space."""
+    """Return the plant as python-control's transfer function or state space, from u in V to y.
+
+    Without ``sampling`` it is G(s). With ``sampling`` it is the exact state space, in discrete time, of hold,
+    plant, and all delays of the loop, including a dead time that is no multiple of the period. Raises
+    DesignError for G(s) of a plant with a dead time: python-control has no exact continuous model of one.
+    Give a sampling then, or convert a copy of the plant without dead time and add ``control.pade``.
+    """
     import control
 
     names = {"name": plant.name, "inputs": "u", "outputs": "y"}
-    continuous = plant.transfer_function()
     if sampling is None:
-        return control.tf(*continuous, **names)
-    A, B, C, D = sampled(realise(plant.transfer_function(sampling)), sampling.period_s)
-    if sampling.delay_samples or len(continuous.num) < len(continuous.den):
-        # Exactly: a remainder of rounding would make an algebraic loop of every feedback.
+        return control.tf(*plant.transfer_function(), **names)
+    A, B, C, D = tustin(realise(plant.transfer_function(sampling)), sampling.period_s)
+    num, den = plant.rational_part
+    if plant.loop_delay_s(sampling) > 0.0 or len(num) < len(den):
+        # A direct path of 1e-19, from rounding, would turn every feedback into an algebraic loop.
         D = np.zeros_like(D)
     return control.ss(A, B, C, D, sampling.period_s, **names)
 
 
 def controller_to_control(controller: ControllerFile) -> control.StateSpace:
-    """The law as the daemon realises it, in its linear range: from r and y to u, at its sample time."""
+    """Return the law as the daemon realises it, in its linear range, from r and y to u at its sample time."""
     import control
 
     A, B, C, D = laws.realise(controller.law, controller.sample_time_s)
@@ -51,21 +58,28 @@ def controller_to_control(controller: ControllerFile) -> control.StateSpace:
 
 
 def plant_from_control(
-    system: control.TransferFunction | control.StateSpace, *, name: str, output_unit: Literal["m", "rad"]
+    system: control.TransferFunction | control.StateSpace,
+    *,
+    name: str,
+    output_unit: Literal["m", "rad"],
+    dead_time_s: float = 0.0,
+    contains_delay_samples: int = 0,
 ) -> Plant:
-    """A plant document from a model with one input in V and one output; ``to_json`` of it is a plant file.
+    """Return a plant document of a model with one input in V and one output; ``to_json`` makes its file text.
 
-    A sampled model is taken to stand behind a zero-order hold, which is inverted; whole samples of delay are
-    left to the design file. Raises DesignError or DocumentError where the model is no plant.
+    A discrete-time model is taken as the model of a zero-order hold and a plant, and the hold is inverted. It
+    must not contain whole samples of delay; give them as ``dead_time_s``. See :mod:`design.models.plant` for
+    the meaning of both delays. Raises DesignError or DocumentError if the model is no plant.
     """
     import control
 
     if system.ninputs != 1 or system.noutputs != 1:
         raise DesignError(
-            f"{name}: {system.ninputs} inputs and {system.noutputs} outputs: a plant has one of each"
+            f"{name}: {system.ninputs} inputs and {system.noutputs} outputs, but a plant has one of each; "
+            "take one entry of the system"
         )
     if system.dt is True:
-        raise DesignError(f"{name}: sampled, but its sample time is not given: set dt, in seconds")
+        raise DesignError(f"{name}: discrete-time, but its sample time is not given; set dt in seconds")
     period_s = float(system.dt or 0.0)
     if isinstance(system, control.TransferFunction) and not period_s:
         num, den = np.ravel(system.num[0][0]), np.ravel(system.den[0][0])
@@ -82,13 +96,15 @@ def plant_from_control(
         sample_time_s=period_s or None,
         num=_trimmed(num),
         den=den.tolist(),
+        dead_time_s=dead_time_s,
+        contains_delay_samples=contains_delay_samples,
         origin={"from": "python-control"},
     )
     return read_plant(to_json(plant), name)
 
 
 def _without_hold(H: StateSpace, period_s: float, name: str) -> StateSpace:
-    """The continuous system of which ``H`` is the sampled one: the logarithm of its step matrix."""
+    """Return the continuous system that is ``H`` behind a zero-order hold: the logarithm of a step matrix."""
     from scipy.linalg import logm
 
     A, B, C, D = H
@@ -97,9 +113,9 @@ def _without_hold(H: StateSpace, period_s: float, name: str) -> StateSpace:
             raise DesignError(
                 f"{name}: a pole at z = {z.real:.4g}: "
                 + (
-                    "whole samples of delay belong into loop.delay_samples of the design file"
+                    "remove whole samples of delay from the model, and give them as dead_time_s"
                     if abs(z) < 1e-9
-                    else "no continuous system behind a zero-order hold has one on the negative axis"
+                    else "no continuous system behind a zero-order hold has a pole on the negative real axis"
                 )
             )
     n = len(A)
@@ -109,6 +125,6 @@ def _without_hold(H: StateSpace, period_s: float, name: str) -> StateSpace:
 
 
 def _trimmed(num: Array) -> list[float]:
-    """Without leading coefficients that are rounding."""
+    """Return the coefficients without leading ones that are rounding."""
     small = np.abs(num) < 1e-14 * np.abs(num).max(initial=0.0)
     return list(map(float, np.trim_zeros(np.where(small, 0.0, num), "f")))

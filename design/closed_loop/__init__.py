@@ -1,1 +1,1 @@
-"""Closed loops: step responses, their readings, and the specifications on them."""
+"""Closed loops: step responses, what is read off them, specifications, and the comparison of controllers."""

@@ -1,7 +1,7 @@
-"""Controllers side by side on one plant: what the table of the report says, and the curves of its figures.
+"""Controllers compared on one plant: the readings of the report's table, and the curves of its figures.
 
-Every reading is of the loop that is designed for (sampled with hold and delay, or continuous), except the
-margins ε, which are given for both. No drawing, no designing.
+All readings belong to the loop that is designed for: the sampled loop with its hold and delay, or the
+continuous loop. Only the margin ε is given for both.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.responses import StepResponses
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
 from design.models.controller import Controller, controller_of_law
-from design.models.plant import Plant, Sampling, TransferFunction
+from design.models.plant import Plant
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness import margins
 from design.robustness.central_controller import optimal_margins
 from design.robustness.loop_shaping import shaped
@@ -30,7 +32,7 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Candidate:
-    """A controller in the comparison: polynomials (1, n + 1) in s, and the law that the daemon would run."""
+    """A controller in the comparison: its polynomials (1, n + 1) in s, and the law for the daemon."""
 
     name: str
     method: str
@@ -41,11 +43,12 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Measures:
-    """One column of the table. Times in s, frequencies in rad/s; ∞ where a reading has no finite value."""
+    """All readings of one controller; ∞ where a reading has no finite value."""
 
     eps_continuous: float
+    """Margin ε of the continuous loop; NaN if the plant has a dead time, which that loop cannot represent."""
     eps_sampled: float
-    """Of the law as the daemon realises it, with the rig's hold and delay."""
+    """Margin ε of the law as the daemon realises it, in the loop with the rig's hold and delay."""
     stable: bool
     overshoot: float
     settling_s: float
@@ -53,44 +56,53 @@ class Measures:
     crossover_rad_s: float
     bandwidth_rad_s: float
     gain_margin: float
-    """Smallest factor over 1 that makes the loop unstable."""
+    """Smallest factor over 1 on the loop gain that makes the loop unstable."""
     phase_margin_rad: float
     disturbance_peak: float
-    """Axis unit per V."""
+    """Largest gain from input disturbance to output, in axis units per V."""
     effort_v: float
-    """Largest |u| after a step of one axis unit."""
+    """Largest |u| in V after a setpoint step of one axis unit."""
 
 
 class Gains(NamedTuple):
-    """Closed-loop gains of Table 1, each (k,); with one input and one output σ̄ is the modulus."""
+    """The closed-loop gains of Table 1, each (k,); for one input and one output, σ̄ is the modulus."""
 
     disturbance: Array
-    """|G/(1 + GK)|, from input disturbance to plant output."""
+    """|G/(1 + GK)|: gain from input disturbance to plant output."""
     complementary: Array
-    """|GK/(1 + GK)|; its inverse is the largest output multiplicative perturbation."""
+    """|GK/(1 + GK)|: its inverse is the largest multiplicative perturbation at the plant output."""
     effort: Array
-    """|K/(1 + GK)|, from output disturbance to valve; its inverse is the largest additive perturbation."""
+    """|K/(1 + GK)|: gain from output disturbance to valve.
+
+    Its inverse is the largest additive perturbation.
+    """
 
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table: what is read, in which unit, and how a value is written."""
+    """One row of the table: what is read, in which unit, and how a value is written as text."""
 
     label: str
     unit: str
     text: Callable[[Measures], str]
     specified_as: str | None = None
-    """The specification that limits this reading of the designed loop, if it is asked for."""
+    """Name of the specification that may limit this reading; None if there is none."""
     value: Callable[[Measures], float] = lambda _: 0.0
+    """Function that returns the value to be compared with that limit."""
 
 
-def delay_text(sampling: Sampling) -> str:
-    """The transport delay in words."""
-    return f"{sampling.delay_samples} sample{'' if sampling.delay_samples == 1 else 's'} of delay"
+def delay_text(sampling: Sampling, plant: Plant | None = None) -> str:
+    """Return the transport delay of the loop, and the dead time of the plant if it has one, in words."""
+    text = f"{sampling.delay_samples} sample{'' if sampling.delay_samples == 1 else 's'} of delay"
+    if plant is None or plant.is_rational:
+        return text
+    if plant.own_dead_time_s < 0.0:
+        return f"{text}, {plant.contains_delay_samples} of which the plant's num and den contain"
+    return f"{text}, {plant.own_dead_time_s:g} s of dead time"
 
 
 def table_rows(axis_unit: str) -> tuple[Row, ...]:
-    """The rows of the table for an axis in ``axis_unit``."""
+    """Return the rows of the table for an axis in ``axis_unit``."""
     return (
         Row("ε, continuous loop", "", lambda m: eps_text(m.eps_continuous)),
         Row("ε, sampled loop", "", lambda m: eps_text(m.eps_sampled)),
@@ -125,12 +137,14 @@ def table_rows(axis_unit: str) -> tuple[Row, ...]:
 
 
 def eps_text(eps: float) -> str:
-    """A margin; 0 is what an unstable loop has."""
+    """Return a margin as text; 0 means that the loop is unstable, NaN that it has no margin."""
+    if np.isnan(eps):
+        return "–"
     return number_text(eps, 4) if eps > 0.0 else "unstable"
 
 
 def number_text(value: float, decimals: int, *, vanishing: bool = False) -> str:
-    """A number to so many decimals, but to two digits at least unless it may vanish."""
+    """Return a number with ``decimals`` decimals; a small one keeps two digits, unless ``vanishing``."""
     if not np.isfinite(value):
         return "∞"
     if vanishing or value == 0.0 or abs(value) >= 0.95 * 10.0 ** (1 - decimals):
@@ -144,7 +158,11 @@ def _number(measures: Measures, value: float, decimals: int, *, vanishing: bool 
 
 @dataclass(frozen=True)
 class Problem:
-    """What all candidates share: plant, weight, the loop designed for, and the rig's sampling."""
+    """What all candidates have in common: the plant, the weight, and the loop.
+
+    ``sampling`` is None if the controllers are designed for the continuous loop. ``rig_sampling`` is that of
+    the rig, whichever loop they are designed for.
+    """
 
     plant: Plant
     weight: TransferFunction
@@ -153,30 +171,30 @@ class Problem:
 
     @cached_property
     def loop_plant(self) -> TransferFunction:
-        """The plant as the loop designed for sees it."""
+        """The plant as the loop that is designed for sees it."""
         return self.plant.transfer_function(self.sampling)
 
     @cached_property
     def eps_opt(self) -> float:
-        """The most that any controller reaches in this loop with this weight, Appendix A."""
+        """The largest margin of any controller in this loop with this weight, Appendix A."""
         return float(optimal_margins(shaped(self.loop_plant, self.weight))[0])
 
     def eps(self, measures: Measures) -> float:
-        """The margin in the loop designed for."""
+        """Return the margin ε in the loop that is designed for."""
         return measures.eps_continuous if self.sampling is None else measures.eps_sampled
 
-    def loops(self, K: Controller) -> Loops:
-        """The loop of one controller."""
-        return Loops(self.loop_plant, K, W=self.weight, sampling=self.sampling)
+    def loops(self, K: Controller) -> ClosedLoops:
+        """Return the loop of one controller, as a batch of one."""
+        return ClosedLoops(self.loop_plant, K, W=self.weight, sampling=self.sampling)
 
     def measure(self, candidate: Candidate) -> Measures:
-        """All readings of one candidate."""
+        """Return all readings of one candidate."""
         K = candidate.controller.feedback
         q = self.loops(candidate.controller)
-        G, rig_G = self.plant.transfer_function(), self.plant.transfer_function(self.rig_sampling)
+        rig_G = self.plant.transfer_function(self.rig_sampling)
         running = controller_of_law(candidate.law, self.rig_sampling.period_s).feedback
         return Measures(
-            eps_continuous=float(margins.stability_margin(G, K, self.weight)[0]),
+            eps_continuous=self._continuous_margin(K),
             eps_sampled=float(margins.stability_margin(rig_G, running, self.weight)[0]),
             stable=bool(q.stable[0]),
             overshoot=float(q.overshoot[0]),
@@ -191,29 +209,37 @@ class Problem:
         )
 
     def step(self, candidate: Candidate, horizon_s: float) -> StepResponses:
-        """Unit step response of one candidate: time_s (k,), y and u (1, k)."""
+        """Return the unit step response of one candidate: time_s (k,), y and u (1, k)."""
         return self.loops(candidate.controller).response(horizon_s)
 
     def frequencies(self, points: int = 400) -> Array:
-        """True frequencies (points,) in rad/s around the plant's corners, below half the sampling rate."""
-        G = self.plant.transfer_function()
+        """Return true frequencies (points,) in rad/s around the plant's corner frequencies.
+
+        For a sampled loop they lie below half the sampling frequency.
+        """
+        G = self.plant.rational_part
         corners = np.abs(np.concatenate([np.roots(G.num), np.roots(G.den)]))
         corners = corners[corners > 0.0]
         slowest, fastest = (corners.min(), corners.max()) if len(corners) else (1.0, 1.0)
-        # Nearer to half the sampling rate, Tustin's zeros at z = -1 say nothing of the plant.
+        # Close to half the sampling frequency, the zeros of Tustin's rule at z = -1 hide the plant.
         top = 0.9 * np.pi / self.rig_sampling.period_s
         low = 10.0 ** np.floor(np.log10(min(slowest, 0.1 * top) / 20.0))
         high = 10.0 ** np.ceil(np.log10(max(fastest, top)))
         return np.geomspace(low, high if self.sampling is None else top, points)
 
     def response(self, H: TransferFunction, omega: Array) -> ComplexArray:
-        """H (k,) at true frequencies in rad/s, of polynomials in this loop's plane."""
+        """Return H (k,) at true frequencies in rad/s; H is given in the plane of this loop."""
         s = 1j * (omega if self.sampling is None else self.sampling.warp(omega))
         return np.asarray(np.polyval(np.ravel(H.num), s) / np.polyval(np.ravel(H.den), s))
 
     def gains(self, candidate: Candidate, omega: Array) -> Gains:
-        """Table 1 at true frequencies (k,) in rad/s."""
+        """Return the gains of Table 1 at true frequencies (k,) in rad/s."""
         G, K = self.loop_plant, candidate.controller.feedback
         closed = margins.characteristic(G, K)
         above = (poly.multiply(G.num, K.den), poly.multiply(G.num, K.num), poly.multiply(K.num, G.den))
         return Gains(*(np.abs(self.response(TransferFunction(num, closed), omega)) for num in above))
+
+    def _continuous_margin(self, K: TransferFunction) -> float:
+        if not self.plant.is_rational:
+            return float("nan")
+        return float(margins.stability_margin(self.plant.transfer_function(), K, self.weight)[0])

@@ -1,4 +1,4 @@
-"""A batch of closed loops, and what can be read off them; each reading is made once, when first asked for."""
+"""A batch of closed loops and all that can be read off them; each reading is computed when first needed."""
 
 from __future__ import annotations
 
@@ -7,25 +7,27 @@ from functools import cached_property
 import numpy as np
 
 from design.closed_loop.responses import StepResponses, closed_loop, step_responses
-from design.closed_loop.step_course import follow, modes
-from design.closed_loop.step_readings import StepCourse
+from design.closed_loop.step_readings import StepReadings
+from design.closed_loop.step_simulation import modes, simulate_steps
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array, Flags, Indices
 from design.models.controller import Controller
-from design.models.plant import Sampling, TransferFunction
 from design.models.realisation import StateSpace
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness import margins
 from design.robustness.loop_shaping import shaped
 
-_SAMPLES, _MOST_SAMPLES = 512, 4096
-"""Of a response that is drawn: of a continuous one, and at most of a sampled one."""
+_CONTINUOUS_SAMPLES, _MAX_SAMPLED_SAMPLES = 512, 4096
+"""Samples of a response to be drawn: for a continuous loop, and at most for a sampled loop."""
 
 
-class Loops:
-    """Controllers (B, n + 1) on one plant, in s or in the bilinear plane of ``sampling``.
+class ClosedLoops:
+    """B controllers (B, n + 1) on one plant (n + 1,), with negative feedback.
 
-    ``desired`` is the open loop whose shape is specified: the shaped plant Gs while weights are selected,
-    else GK itself.
+    All polynomials are in s or, with ``sampling``, in the bilinear plane. ``W`` is the weight W1 with which
+    the margin ε is computed. ``desired`` is the open loop whose shape is specified: the shaped plant Gs while
+    a weight is selected, and GK otherwise.
     """
 
     def __init__(
@@ -39,12 +41,10 @@ class Loops:
     ) -> None:
         self.G, self.K, self.W = G, Controller(*(np.atleast_2d(p) for p in K)), W
         self.sampling = sampling
-        self.open = shaped(G, self.K.feedback)
-        self.desired = self.open if desired is None else desired
-        self.desired_name = "GK" if desired is None else "Gs"
+        self._desired = desired
 
-    def some(self, chosen: Indices) -> Loops:
-        """Those of the batch."""
+    def subset(self, chosen: Indices) -> ClosedLoops:
+        """Return the loops with the indices ``chosen``."""
 
         def of(p: Array) -> Array:
             return p if len(p) == 1 else p[chosen]
@@ -53,12 +53,27 @@ class Loops:
             return TransferFunction(*(of(np.atleast_2d(p)) for p in H))
 
         K, W = Controller(*(of(p) for p in self.K)), pair(self.W)
-        desired = None if self.desired is self.open else pair(self.desired)
-        return Loops(self.G, K, W=W, sampling=self.sampling, desired=desired)
+        desired = None if self._desired is None else pair(self._desired)
+        return ClosedLoops(self.G, K, W=W, sampling=self.sampling, desired=desired)
+
+    @cached_property
+    def open(self) -> TransferFunction:
+        """The open loop GK (B, n + 1)."""
+        return shaped(self.G, self.K.feedback)
+
+    @property
+    def desired(self) -> TransferFunction:
+        """The open loop whose shape is specified."""
+        return self.open if self._desired is None else self._desired
+
+    @property
+    def desired_name(self) -> str:
+        """Symbol of the open loop whose shape is specified: Gs or GK."""
+        return "GK" if self._desired is None else "Gs"
 
     @cached_property
     def closed(self) -> Array:
-        """Characteristic polynomials."""
+        """Characteristic polynomials (B, n + 1) of the closed loops."""
         return np.atleast_2d(margins.characteristic(self.G, self.K.feedback))
 
     @cached_property
@@ -68,20 +83,25 @@ class Loops:
 
     @cached_property
     def margin(self) -> Array:
-        """ε (B,)."""
+        """Stability margin ε (B,) of eq. (13); 0 where unstable."""
         return margins.stability_margin(self.G, self.K.feedback, self.W)
 
     @cached_property
     def final_value(self) -> Array:
-        """y (B,) for t -> ∞ after a unit step of the setpoint."""
+        """Final value (B,) of y after a unit step of the setpoint."""
         above = np.atleast_2d(self.G.num)[:, -1] * self.K.num_r[:, -1]
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(above / self.closed[:, -1])
 
+    @cached_property
+    def error(self) -> Array:
+        """Steady-state error |1 - y| (B,) after a unit step of the setpoint."""
+        return np.abs(1.0 - self.final_value)
+
     def response(self, horizon_s: float) -> StepResponses:
-        """Unit step responses up to a time, to be drawn; those of unstable loops are 0."""
+        """Return the unit step responses up to a time, to be drawn; an unstable loop's response is 0."""
         if self.sampling is None:
-            step_s, samples = horizon_s / (_SAMPLES - 1), _SAMPLES
+            step_s, samples = horizon_s / (_CONTINUOUS_SAMPLES - 1), _CONTINUOUS_SAMPLES
         else:
             step_s = self.sampling.period_s
             samples = int(np.ceil(horizon_s / step_s)) + 1
@@ -89,32 +109,32 @@ class Loops:
         if self.stable.any():
             some = step_responses(self.G, self._stable_controllers, self.sampling, step_s, samples)
             y[self.stable], u[self.stable] = some.y, some.u
-        every = -(-samples // _MOST_SAMPLES)
+        every = -(-samples // _MAX_SAMPLED_SAMPLES)
         return StepResponses(step_s * np.arange(float(samples))[::every], y[:, ::every], u[:, ::every])
 
     @property
     def overshoot(self) -> Array:
-        """Largest y over its final value, less 1 (B,); ∞ where unstable, or y goes to 0."""
-        return np.asarray(np.maximum(self._course.highest - 1.0, 0.0))
+        """Largest y over its final value, less 1 (B,); ∞ where unstable, or where the final value is 0."""
+        return np.asarray(np.maximum(self._output.highest - 1.0, 0.0))
 
     @property
     def settling_s(self) -> Array:
-        """Time (B,) after which y stays within 2 % of its final value; ∞ where unstable, or y goes to 0."""
-        return self._course.settled_s
+        """Time (B,) after which y stays within 2 % of its final value; ∞ where unstable or the value is 0."""
+        return self._output.settling_s
 
     @property
     def rise_s(self) -> Array:
-        """Time (B,) from 10 % to 90 % of the final value; ∞ as for settling."""
-        return self._course.rise_s
+        """Time (B,) from 10 % to 90 % of y's final value; ∞ where unstable or the value is 0."""
+        return self._output.rise_s
 
     @property
     def itae(self) -> Array:
-        """∫ t |1 - y| dt (B,) in s², y relative to its final value; ∞ as for settling."""
-        return self._course.itae
+        """Integral of t |1 - y/y(∞)| dt (B,) in s²; ∞ where unstable or the final value y(∞) is 0."""
+        return self._output.itae
 
     @cached_property
     def effort(self) -> Array:
-        """Largest |u| (B,) after a unit step of the setpoint, in output units of the controller."""
+        """Largest |u| (B,) in V after a setpoint step of one output unit; ∞ where unstable."""
         num = poly.multiply(np.atleast_2d(self.G.den), self.K.num_r)
         with np.errstate(all="ignore"):
             final = np.broadcast_to(num[:, -1] / self.closed[:, -1], self.stable.shape)
@@ -122,30 +142,46 @@ class Loops:
         if self.stable.any():
             direct[self.stable] = self._step.D[:, 1, 0]
         unit = np.maximum(np.abs(final), np.abs(direct))
-        course = self._follow(1, num, final, np.where(unit > 0.0, unit, 1.0))
-        return np.asarray(np.where(unit > 0.0, unit, 1.0) * np.maximum(course.highest, -course.lowest))
+        unit = np.where(unit > 0.0, unit, 1.0)
+        readings = self._step_readings(1, num, final, unit)
+        return np.asarray(unit * np.maximum(readings.highest, -readings.lowest))
+
+    def true_frequency(self, omega: Array) -> Array:
+        """Return frequencies of the loop's plane in true rad/s; ∞ (never reached) remains ∞."""
+        if self.sampling is None:
+            return omega
+        return np.where(np.isinf(omega), np.inf, self.sampling.unwarp(omega))
 
     @cached_property
-    def _course(self) -> StepCourse:
+    def _output(self) -> StepReadings:
+        """Readings of y after a unit step of the setpoint."""
         num = poly.multiply(np.atleast_2d(self.G.num), self.K.num_r)
-        return self._follow(0, num, self.final_value, self.final_value)
+        return self._step_readings(0, num, self.final_value, self.final_value)
 
-    def _follow(self, output: int, num: Array, final: Array, unit: Array) -> StepCourse:
-        """y (0) or u (1), num its numerators over ``closed``, relative to ``unit``; ∞ where unstable."""
-        found = StepCourse(*np.full((5, len(self.stable)), np.inf))
+    def _step_readings(self, output: int, num: Array, final: Array, unit: Array) -> StepReadings:
+        """Return the readings of y (output 0) or u (output 1), relative to ``unit`` (B,).
+
+        ``num`` is the numerator over :attr:`closed`. Readings are ∞ where the loop is unstable or the unit is
+        0.
+        """
+        found = StepReadings(*np.full((5, len(self.stable)), np.inf))
         chosen = np.flatnonzero(self.stable & np.isfinite(unit) & (unit != 0.0))
         if len(chosen):
-            among = np.searchsorted(np.flatnonzero(self.stable), chosen)
-            A, B, C, D = (part[among] for part in self._step)
+            among_stable = np.searchsorted(np.flatnonzero(self.stable), chosen)
+            A, B, C, D = (part[among_stable] for part in self._step)
             scale = 1.0 / unit[chosen]
             C, D = (scale[:, None, None] * part[:, output : output + 1] for part in (C, D))
             num = num if len(num) == 1 and len(self.stable) > 1 else num[chosen]
-            shown = modes(num, self.closed[chosen], self.sampling, np.abs(unit[chosen]))
-            course = follow(
-                StateSpace(A, B, C, D), final[chosen] * scale, shown, self.sampling, is_effort=output == 1
+            loop_modes = modes(num, self.closed[chosen], self.sampling, np.abs(unit[chosen]))
+            readings = simulate_steps(
+                StateSpace(A, B, C, D),
+                final[chosen] * scale,
+                loop_modes,
+                self.sampling,
+                extremes_only=output == 1,
             )
-            for all_of_them, some in zip(found, course, strict=True):
-                all_of_them[chosen] = some
+            for all_values, values in zip(found, readings, strict=True):
+                all_values[chosen] = values
         return found
 
     @cached_property
@@ -155,17 +191,6 @@ class Loops:
 
     @cached_property
     def _step(self) -> StateSpace:
-        """From r to [y, u], of the stable loops."""
+        """State space from r to [y, u] of the stable loops."""
         with np.errstate(all="ignore"):
             return closed_loop(self.G, self._stable_controllers)
-
-    @cached_property
-    def error(self) -> Array:
-        """|1 - y| (B,) for t -> ∞ after a unit step."""
-        return np.abs(1.0 - self.final_value)
-
-    def true_frequency(self, omega: Array) -> Array:
-        """Frequencies of the loop's plane in true rad/s."""
-        if self.sampling is None:
-            return omega
-        return np.asarray(self.sampling.unwarp(omega))

@@ -1,8 +1,8 @@
-"""Batched step responses of closed loops, exact at their samples, continuous or sampled.
+"""Step responses of batches of closed loops, exact at their samples, for continuous and sampled loops.
 
-Plant and controller keep their own states (companion forms scaled in time). A continuous loop is stepped by
-its matrix exponential (a step is constant between samples, so this is exact); a sampled loop by the exact
-map from the bilinear plane to z. Powers of the step matrix are doubled, not iterated.
+Plant and controller keep their own states, in companion forms of scaled time. A continuous loop is stepped by
+its matrix exponential, which is exact since the setpoint is constant. A sampled loop is stepped by the exact
+map from the bilinear plane to z.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ import numpy as np
 from design.mathematics.matrix_exponential import exponential
 from design.mathematics.polynomials import Array
 from design.models.controller import Controller
-from design.models.plant import Sampling, TransferFunction
-from design.models.realisation import StateSpace, observer_form, sampled
+from design.models.realisation import StateSpace, observer_form, tustin
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 
 
 class StepResponses(NamedTuple):
-    """Unit setpoint steps at time 0 from rest: time_s (k,), y (B, k), u (B, k)."""
+    """Responses to a unit step of the setpoint at time 0, from rest: time_s (k,), y (B, k), u (B, k)."""
 
     time_s: Array
     y: Array
@@ -29,13 +30,14 @@ class StepResponses(NamedTuple):
 def step_responses(
     G: TransferFunction, K: Controller, sampling: Sampling | None, step_s: float, samples: int
 ) -> StepResponses:
-    """Responses of u = (num_r r - num y)/den on G, ``step_s`` apart: a sampled loop's period.
+    """Return ``samples`` values of y and u, ``step_s`` apart, for controllers (B, n + 1) on the plant G.
 
-    Not finite where modes are too fast for the arithmetic.
+    For a sampled loop, ``step_s`` must be its period. Values are not finite where modes are too fast for the
+    arithmetic.
     """
     with np.errstate(all="ignore"):
         loop = closed_loop(G, K)
-        A, B, C, D = loop if sampling is None else sampled(loop, sampling.period_s)
+        A, B, C, D = loop if sampling is None else tustin(loop, sampling.period_s)
         n = A.shape[-1]
         M = np.zeros((len(A), n + 1, n + 1))
         M[:, :n, :n], M[:, :n, n:] = A, B
@@ -48,14 +50,14 @@ def step_responses(
 
 
 def closed_loop(G: TransferFunction, K: Controller) -> StateSpace:
-    """From r to [y, u], batched."""
+    """Return the state spaces (B, ...) that lead from the setpoint r to [y, u], with negative feedback."""
     num, den, num_r = (np.atleast_2d(p) for p in K)
     Ag, Bg, _, Dg = observer_form(np.atleast_2d(G.den), np.atleast_2d(G.num))
     Ak, Bk, _, Dk = observer_form(den, num_r, -num)
     size = max(len(Ag), len(Ak), len(Dk))
     ng, nk = Ag.shape[-1], Ak.shape[-1]
     n = ng + nk
-    # With y = x_g[0] + Dg u and u = x_k[0] + Dk [r, y]: solve the direct path first.
+    # y = x_g[0] + Dg u and u = x_k[0] + Dk [r, y] depend on each other; the direct path is solved first.
     direct = 1.0 / (1.0 - Dk[:, 0, 1] * Dg[:, 0, 0])
     U = np.zeros((size, 1, n + 1))
     if nk:
@@ -78,7 +80,10 @@ def closed_loop(G: TransferFunction, K: Controller) -> StateSpace:
 
 
 def _powers(rows: Array, M: Array, samples: int) -> Array:
-    """rows M^k [0 … 0 1]' for k < samples: (B, outputs, samples), by small and giant steps."""
+    """Return rows M^k [0 … 0 1]' for k < samples, as (B, outputs, samples).
+
+    The powers up to about the root of ``samples`` are applied to the rows, and the others to the state.
+    """
     size, outputs, n = rows.shape
     small = 1
     blocks = rows

@@ -1,187 +1,164 @@
-"""What is read off step responses that come block by block as samples: peaks, settling, rise, error area.
+"""Readings of step responses: extremes, settling time, rise time and time-weighted error.
 
-Between samples a response is the cubic of its values and slopes. All is in deviations from the final value,
-relative to it. Batched over loops; how a response is followed is in ``step_course``.
+Responses arrive block by block, as samples with slopes (from :mod:`design.closed_loop.step_simulation`).
+Between two samples a response is the cubic of their values and slopes. All values are deviations from the
+final value, relative to it: the response itself begins at -1 and ends at 0. Everything is batched over loops.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from design.closed_loop.cubic_segments import Segments
 from design.mathematics.polynomials import Array, Flags, Indices
 
 BAND = 0.02 * (1.0 - 2e-4)
-"""Of settling: 2 %, less what a cubic may be off. A search that goes up to a limit lets a late peak touch the
-band's edge, and then the peak has to be inside, not the cubic alone."""
-_RISE = (0.1, 0.9)
+"""Half-width of the settling band, relative to the final value: 2 %, less the error of the cubic.
+
+A search drives a late peak to the edge of the band. The peak itself must then lie inside, not only its cubic.
+"""
+_RISE_LEVELS = (0.1, 0.9)
+"""Shares of the final value between which the rise time is measured."""
 
 
-class StepCourse(NamedTuple):
-    """Readings (B,) of responses relative to their final values; ∞ where none is or can be told."""
+class StepReadings(NamedTuple):
+    """Readings (B,) of responses, relative to their final values; ∞ where a reading does not exist."""
 
     highest: Array
+    """Largest value of the response; 1 is its final value."""
     lowest: Array
-    settled_s: Array
+    """Smallest value of the response."""
+    settling_s: Array
+    """Time after which the response stays within 2 % of its final value."""
     rise_s: Array
-    """From 10 to 90 %."""
+    """Time from 10 % to 90 % of the final value."""
     itae: Array
-    """∫ t |1 - y| dt in s²."""
+    """Integral of t |1 - y| dt in s² (integral of time-weighted absolute error)."""
 
 
-class Block(NamedTuple):
-    """Evenly spaced samples of some loops; the last sample is the first of the next block."""
+class SampleBlock(NamedTuple):
+    """Evenly spaced samples of g responses; the last sample is the first of the next block."""
 
     start_s: Array
-    """(g,)"""
+    """Time of the first sample (g,)."""
     spacing_s: Array
-    """(g,)"""
+    """Time between samples (g,)."""
     values: Array
-    """(g, k)"""
+    """Deviations from the final value (g, k)."""
     slopes: Array
-    """(g, k), per second."""
-    straight: Flags
-    """(g,) whether lines are drawn between samples, not cubics."""
+    """Slopes (g, k) per second."""
+    is_linear: Flags
+    """True (g,) where straight lines connect the samples instead of cubics."""
+
+    def segments(self, row: Indices, k: Indices, begin: Array | float, end: Array | float) -> Segments:
+        """Return the segments (t,) that begin at sample ``k`` (t,) of response ``row`` (t,)."""
+        v0, v1 = self.values[row, k], self.values[row, k + 1]
+        spacing_s, is_linear = self.spacing_s[row], self.is_linear[row]
+        d0, d1 = (np.where(is_linear, v1 - v0, spacing_s * self.slopes[row, i]) for i in (k, k + 1))
+        shares = (share + np.zeros(len(row)) for share in (begin, end))
+        return Segments(self.start_s[row] + k * spacing_s, spacing_s, v0, v1, d0, d1, *shares)
 
 
-class _Piece(NamedTuple):
-    """The cubic (B,) from a sample to the next, and the part of it in which a level is crossed, as shares."""
-
-    time_s: Array
-    """Where it begins."""
-    step_s: Array
-    """How long it is."""
-    v0: Array
-    v1: Array
-    """Values at its ends."""
-    d0: Array
-    d1: Array
-    """Slopes there, times its length."""
-    begin: Array
-    end: Array
-
-    def at(self, share: Array) -> Array:
-        """Values (B,) at shares of the length."""
-        rise = self.v1 - self.v0
-        bend, twist = 3.0 * rise - 2.0 * self.d0 - self.d1, self.d0 + self.d1 - 2.0 * rise
-        return np.asarray(self.v0 + share * (self.d0 + share * (bend + share * twist)))
-
-
-class _Turning(NamedTuple):
-    """Turning points between samples (t,): row, sample before, share of the piece after it, and value."""
+class _TurningPoints(NamedTuple):
+    """Extremes (t,) between samples."""
 
     row: Indices
+    """Response in which the turning point lies."""
     k: Indices
+    """Sample before the turning point."""
     share: Array
-    top: Array
+    """Share of the segment after that sample at which the turning point lies."""
+    value: Array
 
 
-class StepReadings:
-    """What has been read so far of B responses that go to 1."""
+class ReadingCollector:
+    """The readings of B responses, brought up to date with each block of samples."""
 
     def __init__(self, count: int) -> None:
         self.highest, self.lowest = np.full(count, -np.inf), np.full(count, np.inf)
-        """Of the response itself, not of its deviation."""
-        self.untold = np.zeros(count, dtype=bool)
-        """Where settling cannot be told."""
+        """Extremes (B,) of the responses so far; 1 is the final value."""
+        self._is_unresolved = np.zeros(count, dtype=bool)
         self._itae = np.zeros(count)
-        # Where the band is entered for good, and where 10 and 90 % are first reached.
-        self._entered, *self._reached = (_Piece(*np.zeros((8, count))) for _ in range(3))
-        self._was_outside = np.zeros(count, dtype=bool)
-        self._has_reached = np.zeros((2, count), dtype=bool)
+        self._band_entry = Segments.zeros(count)
+        self._has_left_band = np.zeros(count, dtype=bool)
+        self._level_crossings = tuple(Segments.zeros(count) for _ in _RISE_LEVELS)
+        self._has_crossed = np.zeros((len(_RISE_LEVELS), count), dtype=bool)
 
-    def course(self) -> StepCourse:
-        """The readings, once every response is at rest."""
-        settled = np.where(self._was_outside, _crossing(self._entered, np.abs, BAND), 0.0)
-        low, high = (
-            _crossing(piece, np.negative, 1.0 - level)
-            for piece, level in zip(self._reached, _RISE, strict=True)
-        )
-        rise = np.where(self._has_reached.all(axis=0), high - low, np.inf)
-        lost = ~np.isfinite(self.highest) | ~np.isfinite(self.lowest)
-        return StepCourse(
-            np.where(lost, np.inf, self.highest),
-            np.where(lost, -np.inf, self.lowest),
-            np.where(self.untold | lost, np.inf, settled),
-            np.where(lost, np.inf, rise),
-            np.where(self.untold | lost, np.inf, self._itae),
-        )
+    def mark_unresolved(self, loops: Indices) -> None:
+        """Record that the settling time and the ITAE of ``loops`` cannot be determined."""
+        self._is_unresolved[loops] = True
 
-    def extremes(self, loops: Indices, block: Block, final: Array | float) -> _Turning:
-        """Raise and lower the extremes by a block of ``loops`` (g,); ``final`` (g,) is what 0 stands for."""
+    def add_extremes(self, loops: Indices, block: SampleBlock, final: Array | float) -> _TurningPoints:
+        """Bring the extremes of ``loops`` (g,) up to date; ``final`` (g,) is the value at deviation 0."""
         v, d = block.values, block.slopes * block.spacing_s[:, None]
         highest, lowest = v.max(axis=-1), v.min(axis=-1)
-        # Few, so each is found alone.
-        row, k = np.nonzero((d[:, :-1] * d[:, 1:] < 0.0) & ~block.straight[:, None])
-        piece = self._pieces(block, row, k, 0.0, 1.0)
-        share = _turning_share(piece)
-        top = piece.at(share)
-        np.maximum.at(highest, row, top)
-        np.minimum.at(lowest, row, top)
+        row, k = np.nonzero((d[:, :-1] * d[:, 1:] < 0.0) & ~block.is_linear[:, None])
+        segments = block.segments(row, k, 0.0, 1.0)
+        share = segments.turning_share()
+        value = segments.at(share)
+        np.maximum.at(highest, row, value)
+        np.minimum.at(lowest, row, value)
         self.highest[loops] = np.maximum(self.highest[loops], highest + final)
         self.lowest[loops] = np.minimum(self.lowest[loops], lowest + final)
-        return _Turning(row, k, share, top)
+        return _TurningPoints(row, k, share, value)
 
-    def read(self, loops: Indices, block: Block) -> None:
-        """Take a block of ``loops`` (g,) into every reading."""
-        row, k, share, top = self.extremes(loops, block, 1.0)
-        v = block.values
-        samples = np.arange(v.shape[-1])
-        time_s = block.start_s[:, None] + block.spacing_s[:, None] * samples[:-1]
-        self._itae[loops] += (time_s * np.abs(v[:, :-1])).sum(axis=-1) * block.spacing_s
+    def add(self, loops: Indices, block: SampleBlock) -> None:
+        """Bring every reading of ``loops`` (g,) up to date with a block of their samples."""
+        turning = self.add_extremes(loops, block, 1.0)
+        self._add_error(loops, block)
+        self._find_band_entry(loops, block, turning)
+        for i in range(len(_RISE_LEVELS)):
+            self._find_level_crossing(i, loops, block, turning)
 
-        last = np.where(np.abs(v[:, :-1]) > BAND, samples[:-1], -1).max(axis=-1)
+    def readings(self) -> StepReadings:
+        """Return the readings, once every response has been followed to its end."""
+        settling = np.where(self._has_left_band, self._band_entry.crossing_s(np.abs, BAND), 0.0)
+        low, high = (
+            segments.crossing_s(np.negative, 1.0 - level)
+            for segments, level in zip(self._level_crossings, _RISE_LEVELS, strict=True)
+        )
+        rise = np.where(self._has_crossed.all(axis=0), high - low, np.inf)
+        is_lost = ~np.isfinite(self.highest) | ~np.isfinite(self.lowest)
+        return StepReadings(
+            np.where(is_lost, np.inf, self.highest),
+            np.where(is_lost, -np.inf, self.lowest),
+            np.where(self._is_unresolved | is_lost, np.inf, settling),
+            np.where(is_lost, np.inf, rise),
+            np.where(self._is_unresolved | is_lost, np.inf, self._itae),
+        )
+
+    def _add_error(self, loops: Indices, block: SampleBlock) -> None:
+        """Add the block's part of the ITAE, as a sum over its samples."""
+        before_end = np.abs(block.values[:, :-1])
+        time_s = block.start_s[:, None] + block.spacing_s[:, None] * np.arange(before_end.shape[-1])
+        self._itae[loops] += (time_s * before_end).sum(axis=-1) * block.spacing_s
+
+    def _find_band_entry(self, loops: Indices, block: SampleBlock, turning: _TurningPoints) -> None:
+        """Remember where a response was last outside the settling band, if it was so in this block."""
+        outside = np.abs(block.values[:, :-1]) > BAND
+        last = np.where(outside, np.arange(outside.shape[-1]), -1).max(axis=-1)
         begin = np.zeros(len(loops))
-        later = np.flatnonzero((np.abs(top) > BAND) & (k >= last[row]))
-        # In rising order, so that the last of a row stays.
-        last[row[later]], begin[row[later]] = k[later], share[later]
+        # A turning point outside the band counts too. They come in rising order, so that the last one
+        # remains.
+        later = np.flatnonzero((np.abs(turning.value) > BAND) & (turning.k >= last[turning.row]))
+        last[turning.row[later]], begin[turning.row[later]] = turning.k[later], turning.share[later]
         found = np.flatnonzero(last >= 0)
-        _keep(self._entered, loops[found], self._pieces(block, found, last[found], begin[found], 1.0))
-        self._was_outside[loops[found]] = True
+        self._band_entry.replace(loops[found], block.segments(found, last[found], begin[found], 1.0))
+        self._has_left_band[loops[found]] = True
 
-        for reached, has, level in zip(self._reached, self._has_reached, _RISE, strict=True):
-            never = len(samples)
-            first = np.where(v >= level - 1.0, samples, never).min(axis=-1)
-            first, end = np.where(first < never, np.maximum(first - 1, 0), never), np.ones(len(loops))
-            sooner = np.flatnonzero((top >= level - 1.0) & (k < first[row]))[::-1]
-            first[row[sooner]], end[row[sooner]] = k[sooner], share[sooner]
-            found = np.flatnonzero((first < never) & ~has[loops])
-            _keep(reached, loops[found], self._pieces(block, found, first[found], 0.0, end[found]))
-            has[loops[found]] = True
-
-    @staticmethod
-    def _pieces(block: Block, row: Indices, k: Indices, begin: Array | float, end: Array | float) -> _Piece:
-        """From sample k of each row on."""
-        v0, v1 = block.values[row, k], block.values[row, k + 1]
-        spacing_s, straight = block.spacing_s[row], block.straight[row]
-        d0, d1 = (np.where(straight, v1 - v0, spacing_s * block.slopes[row, i]) for i in (k, k + 1))
-        shares = (share + np.zeros(len(row)) for share in (begin, end))
-        return _Piece(block.start_s[row] + k * spacing_s, spacing_s, v0, v1, d0, d1, *shares)
-
-
-def _keep(kept: _Piece, loops: Indices, found: _Piece) -> None:
-    for part, value in zip(kept, found, strict=True):
-        part[loops] = value
-
-
-def _turning_share(piece: _Piece) -> Array:
-    """Share (k,) of a piece at which its slope, of different sign at its ends, is 0."""
-    rise = piece.v1 - piece.v0
-    a, b = 3.0 * (piece.d0 + piece.d1 - 2.0 * rise), 2.0 * (3.0 * rise - 2.0 * piece.d0 - piece.d1)
-    q = -0.5 * (b + np.copysign(np.sqrt(np.maximum(b * b - 4.0 * a * piece.d0, 0.0)), b))
-    share = piece.d0 / q
-    return np.asarray(np.clip(np.where((share >= 0.0) & (share <= 1.0), share, q / a), 0.0, 1.0))
-
-
-def _crossing(piece: _Piece, size: Callable[[Array], Array], limit: float) -> Array:
-    """When (B,), in s, ``size`` falls to the limit in the piece's part, by bisection and a last line."""
-    low, high = piece.begin, piece.end
-    for _ in range(9):
-        middle = 0.5 * (low + high)
-        inside = size(piece.at(middle)) <= limit
-        low, high = np.where(inside, low, middle), np.where(inside, middle, high)
-    over, under = size(piece.at(low)) - limit, limit - size(piece.at(high))
-    share = np.clip(np.where(over > 0.0, over / (over + under), 0.0), 0.0, 1.0)
-    return np.asarray(piece.time_s + piece.step_s * (low + share * (high - low)))
+    def _find_level_crossing(
+        self, i: int, loops: Indices, block: SampleBlock, turning: _TurningPoints
+    ) -> None:
+        """Remember where a response first reaches the rise level ``i``, if it does so in this block."""
+        deviation = _RISE_LEVELS[i] - 1.0
+        count = block.values.shape[-1]
+        first = np.where(block.values >= deviation, np.arange(count), count).min(axis=-1)
+        first, end = np.where(first < count, np.maximum(first - 1, 0), count), np.ones(len(loops))
+        # A turning point may reach the level sooner. In falling order, the first one remains.
+        sooner = np.flatnonzero((turning.value >= deviation) & (turning.k < first[turning.row]))[::-1]
+        first[turning.row[sooner]], end[turning.row[sooner]] = turning.k[sooner], turning.share[sooner]
+        found = np.flatnonzero((first < count) & ~self._has_crossed[i, loops])
+        self._level_crossings[i].replace(loops[found], block.segments(found, first[found], 0.0, end[found]))
+        self._has_crossed[i, loops[found]] = True

@@ -1,1 +1,1 @@
-"""Polynomials, peaks of rational functions over frequency, and the matrix exponential."""
+"""Batched polynomials, the largest value of a frequency response, and the matrix exponential."""

@@ -1,4 +1,7 @@
-"""exp(M) of a batch of small matrices, in numpy alone: scipy's takes one at a time and long to import."""
+"""The exponential of a batch of small matrices.
+
+scipy.linalg.expm takes one matrix at a time, and scipy takes longer to import than a whole design.
+"""
 
 from __future__ import annotations
 
@@ -9,34 +12,35 @@ import numpy as np
 from design.mathematics.polynomials import Array
 
 _INVERSE_FACTORIALS = [1.0 / factorial(k) for k in range(13)]
-_LARGEST = 0.5
-"""Norm under which the Taylor polynomial of degree 12 is exact to rounding."""
+_TAYLOR_NORM = 0.5
+"""Norm up to which the Taylor polynomial of degree 12 is exact to rounding."""
 
 
 def exponential(M: Array) -> Array:
-    """exp(M) of M (B, n, n), by scaling, a Taylor polynomial (Paterson and Stockmeyer's), and squaring.
+    """Return exp(M) of matrices M (B, n, n), by scaling, a Taylor polynomial, and repeated squaring.
 
-    What is squared is exp - 1, so that slow modes keep their digits beside fast ones; each matrix as often
-    as it needs, so that none depends on its neighbours.
+    The polynomial is evaluated by the method of Paterson and Stockmeyer. exp(M) - I is squared instead of
+    exp(M), so that a slow mode keeps its digits beside a fast one. Each matrix is squared as often as it
+    needs to be, so that no result depends on the other matrices of the batch.
     """
     norms = np.abs(M).sum(axis=-1).max(axis=-1, initial=0.0)
-    squarings = np.ceil(np.log2(np.maximum(norms, _LARGEST) / _LARGEST)).astype(int)
+    squarings = np.ceil(np.log2(np.maximum(norms, _TAYLOR_NORM) / _TAYLOR_NORM)).astype(int)
     X = M / 2.0 ** squarings[:, None, None]
     X2 = X @ X
     X3 = X2 @ X
     eye = np.eye(M.shape[-1])
-    less_one = _INVERSE_FACTORIALS[12] * X3
+    less_identity = _INVERSE_FACTORIALS[12] * X3
     for i in (9, 6, 3, 0):
         zeroth, first, second = _INVERSE_FACTORIALS[i : i + 3]
-        less_one = less_one + first * X + second * X2
+        less_identity = less_identity + first * X + second * X2
         if i:
-            less_one = (less_one + zeroth * eye) @ X3
+            less_identity = (less_identity + zeroth * eye) @ X3
     for k in range(int(squarings.max(initial=0))):
         left = squarings > k
-        some = less_one if left.all() else less_one[left]
+        some = less_identity if left.all() else less_identity[left]
         doubled = 2.0 * some + some @ some
         if left.all():
-            less_one = doubled
+            less_identity = doubled
         else:
-            less_one[left] = doubled
-    return np.asarray(less_one + eye)
+            less_identity[left] = doubled
+    return np.asarray(less_identity + eye)

@@ -1,11 +1,15 @@
-"""The largest value over all frequencies of a ratio of powers, exactly: every H-infinity norm here is one.
+"""The largest value, over all frequencies, of a ratio of squared magnitudes.
 
-A ratio N(x)/D(x) in x = ω², each a product of sums of |p(jω)|². The level polynomial N - γ²D has no positive
-root exactly where γ² is above the peak; between its positive roots the ratio is higher. So: a lower bound
-from where the asymptotes bend, Newton's method on it, then level polynomials until none finds a higher
-value (Boyd, Balakrishnan, Kabamba 1989; Bruinsma and Steinbuch 1990, on polynomials of half the size of
-their Hamiltonian matrices). The value at the peak is taken from even and odd parts of the factors, so that
-a lightly damped mode costs no digits. Never a frequency grid alone.
+Every H-infinity norm of this package is such a ratio N(x)/D(x) in x = ω², where N and D are products of sums
+of |p(jω)|². It is found exactly, without a frequency grid (Boyd, Balakrishnan and Kabamba 1989; Bruinsma and
+Steinbuch 1990; here on polynomials instead of Hamiltonian matrices):
+
+1. The values at ω = 0, at ω = ∞ and where the asymptotes bend give a lower bound γ² of the peak. Newton's
+   method raises it to a local maximum.
+2. The level polynomial N - γ² D has no positive root exactly if γ² is the peak. Otherwise the ratio is above
+   γ² somewhere between the roots, and the search goes on from there.
+3. At the peak, the ratio is evaluated once more from the real and imaginary parts of the polynomials. So a
+   lightly damped mode costs no precision.
 """
 
 from __future__ import annotations
@@ -19,84 +23,100 @@ from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
 
 _HIGHER = 1.0 + 1e-11
-_MOST_ROUNDS = 30
+"""Factor by which a new level must exceed the previous one; a smaller gain is rounding."""
+_MAX_ROUNDS = 30
+"""Largest number of level polynomials; a few suffice."""
 _BLURRED = 1e-9
+"""Relative difference between both ways to evaluate the ratio above which its coefficients are imprecise."""
 
 
-class Power:
-    """Sum of |p(jω)|² over polynomials p (..., n + 1)."""
+class SquaredMagnitude:
+    """The sum of |p(jω)|² over several polynomials p (..., n + 1)."""
 
     def __init__(self, *parts: Array) -> None:
         self._parts = tuple(part if part.ndim > 1 else part[None, :] for part in parts)
 
     @cached_property
     def coefficients(self) -> Array:
-        """Of the sum, as polynomials in x = ω²."""
-        return poly.add(*(poly.power(part) for part in self._parts))
+        """Coefficients (B, n + 1) of the sum as a polynomial in x = ω²."""
+        return poly.add(*(poly.squared_magnitude(part) for part in self._parts))
 
     def at(self, omega: Array) -> Array:
-        """Values (B, k) at ω (B, k) in rad/s."""
-        total = poly.power_at(self._parts[0], omega)
+        """Return the values (B, k) at ω (B, k) in rad/s."""
+        total = poly.squared_magnitude_at(self._parts[0], omega)
         for part in self._parts[1:]:
-            total = total + poly.power_at(part, omega)
+            total = total + poly.squared_magnitude_at(part, omega)
         return total
 
 
-class PowerOf(Power):
-    """A power given by its coefficients (B, n + 1) in x alone."""
+class SquaredMagnitudeInX(SquaredMagnitude):
+    """A squared magnitude given only by its coefficients (B, n + 1) as a polynomial in x = ω²."""
 
     def __init__(self, coefficients: Array) -> None:
         super().__init__()
         self.coefficients = coefficients
 
     def at(self, omega: Array) -> Array:
-        """See Power."""
+        """See :class:`SquaredMagnitude`."""
         return np.asarray(poly.at(self.coefficients, omega * omega))
 
 
-def peak(above: Sequence[Power], below: Sequence[Power], enough: Array | None = None) -> tuple[Array, Array]:
-    """Supremum (B,) over 0 <= ω <= ∞ of Π above / Π below, and the ω (B,) in rad/s where it is taken.
+def peak(
+    above: Sequence[SquaredMagnitude], below: Sequence[SquaredMagnitude], cutoff: Array | None = None
+) -> tuple[Array, Array]:
+    """Return the supremum (B,) over 0 <= ω <= ∞ of the ratio, and the ω (B,) in rad/s where it is taken.
 
-    ∞ where a pole lies on the axis. The place may be 0 or ∞. Where the peak is over ``enough`` (B,), some
-    value over it is returned.
+    The ratio is the product of ``above`` over the product of ``below``. The supremum is ∞ where a pole lies
+    on the imaginary axis. The frequency may be 0 or ∞. Where the supremum is over ``cutoff`` (B,), any value
+    over the cutoff may be returned, which is faster.
     """
-    N = poly.multiply(*(factor.coefficients for factor in above))
-    D = poly.multiply(*(factor.coefficients for factor in below))
-    pair = np.zeros((2, max(len(N), len(D)), max(N.shape[-1], D.shape[-1], 2)))
-    pair[0, :, pair.shape[-1] - N.shape[-1] :] = N
-    pair[1, :, pair.shape[-1] - D.shape[-1] :] = D
+    pair = _coefficients(above, below)
     with np.errstate(all="ignore"):
         best, place = _ends(pair)
         ends = best.copy()
         _improve(best, place, _bends(pair), pair)
         _climb(best, place, pair)
-        enough = np.full(len(best), np.inf) if enough is None else enough
-        active = np.flatnonzero(best < enough)
-        for _ in range(_MOST_ROUNDS):
-            if not len(active):
-                break
-            some, b, p = pair[:, active], best[active], place[active]
-            before = b.copy()
-            _improve(b, p, _between_roots(some[0] - b[:, None] * some[1]), some)
-            higher = b > before * _HIGHER
-            if higher.any():
-                _climb(b, p, some)
-                best[active], place[active] = b, p
-            active = active[higher & (b < enough[active])]
-        inside = np.isfinite(place) & (place > 0.0)
+        _raise_level(best, place, pair, np.full(len(best), np.inf) if cutoff is None else cutoff)
+        is_inside = np.isfinite(place) & (place > 0.0)
         omega = np.sqrt(place)
-        inner = np.where(inside, omega, 1.0)[:, None]
-        value = _exact(inner, above, below)
-        blurred = inside & (np.abs(value[:, 0] / best - 1.0) > _BLURRED)
-        if blurred.any():
+        inner = np.where(is_inside, omega, 1.0)[:, None]
+        value = _ratio(inner, above, below)
+        is_blurred = is_inside & (np.abs(value[:, 0] / best - 1.0) > _BLURRED)
+        if is_blurred.any():
             value, inner = _zoom(inner, above, below)
-            omega = np.where(inside, inner[:, 0], omega)
-        best = np.where(inside, np.maximum(value[:, 0], ends), best)
+            omega = np.where(is_inside, inner[:, 0], omega)
+        best = np.where(is_inside, np.maximum(value[:, 0], ends), best)
     return best, omega
 
 
-def _exact(omega: Array, above: Sequence[Power], below: Sequence[Power]) -> Array:
-    """The ratio at ω (B, k) from even and odd parts."""
+def _coefficients(above: Sequence[SquaredMagnitude], below: Sequence[SquaredMagnitude]) -> Array:
+    """Return numerator and denominator (2, B, n + 1) of the ratio as polynomials in x."""
+    N = poly.multiply(*(factor.coefficients for factor in above))
+    D = poly.multiply(*(factor.coefficients for factor in below))
+    pair = np.zeros((2, max(len(N), len(D)), max(N.shape[-1], D.shape[-1], 2)))
+    pair[0, :, pair.shape[-1] - N.shape[-1] :] = N
+    pair[1, :, pair.shape[-1] - D.shape[-1] :] = D
+    return pair
+
+
+def _raise_level(best: Array, place: Array, pair: Array, cutoff: Array) -> None:
+    """Raise ``best`` (B,), at x = ``place`` (B,), to the peak or beyond the cutoff, in place."""
+    active = np.flatnonzero(best < cutoff)
+    for _ in range(_MAX_ROUNDS):
+        if not len(active):
+            break
+        some, b, p = pair[:, active], best[active], place[active]
+        before = b.copy()
+        _improve(b, p, _between_roots(some[0] - b[:, None] * some[1]), some)
+        is_higher = b > before * _HIGHER
+        if is_higher.any():
+            _climb(b, p, some)
+            best[active], place[active] = b, p
+        active = active[is_higher & (b < cutoff[active])]
+
+
+def _ratio(omega: Array, above: Sequence[SquaredMagnitude], below: Sequence[SquaredMagnitude]) -> Array:
+    """Return the ratio (B, k) at ω (B, k) in rad/s, from real and imaginary parts."""
     value = np.ones_like(omega)
     for factor in above:
         value = value * factor.at(omega)
@@ -105,51 +125,54 @@ def _exact(omega: Array, above: Sequence[Power], below: Sequence[Power]) -> Arra
     return value
 
 
-def _zoom(omega: Array, above: Sequence[Power], below: Sequence[Power]) -> tuple[Array, Array]:
-    """The highest exact value (B, 1) around ω (B, 1), and where.
+def _zoom(
+    omega: Array, above: Sequence[SquaredMagnitude], below: Sequence[SquaredMagnitude]
+) -> tuple[Array, Array]:
+    """Return the highest ratio (B, 1) in the neighbourhood of ω (B, 1), and the ω where it is taken.
 
-    For a mode so lightly damped that N and D as coefficients blur its peak.
+    This is for modes with so little damping that the coefficients of N and D do not locate their peak.
     """
     rows = np.arange(len(omega))
     width = 1e-3
     while width > 1e-17:
         around = omega * (1.0 + width * np.linspace(-1.0, 1.0, 9))
-        value = _exact(around, above, below)
+        value = _ratio(around, above, below)
         omega = around[rows, value.argmax(axis=-1)][:, None]
         width /= 3.0
-    return _exact(omega, above, below), omega
+    return _ratio(omega, above, below), omega
 
 
 def _ends(pair: Array) -> tuple[Array, Array]:
-    """The larger (B,) of the values at x = 0 and x = ∞, and which."""
+    """Return the larger (B,) of the ratios at x = 0 and x = ∞, and the x (B,) that it belongs to."""
     at_zero, at_infinity = _first_nonzero_ratio(pair[..., ::-1]), _first_nonzero_ratio(pair)
     return np.maximum(at_zero, at_infinity), np.where(at_zero >= at_infinity, 0.0, np.inf)
 
 
 def _first_nonzero_ratio(pair: Array) -> Array:
+    """Return the ratio (B,) of the first coefficients that are not both 0."""
     leading = np.argmax((pair != 0.0).any(axis=0), axis=-1)
     n, d = pair[:, np.arange(pair.shape[1]), leading]
     return np.where(d > 0.0, n / d, np.where(n > 0.0, np.inf, 0.0))
 
 
 def _bends(pair: Array) -> Array:
-    """Places (B, 2n) where the asymptotes of N and D bend: ratios of neighbouring coefficients."""
+    """Return the x (B, 2n) at which asymptotes of N and D bend: the ratios of neighbouring coefficients."""
     ratios = np.abs(pair[..., 1:] / pair[..., :-1])
     x = np.concatenate([ratios[0], ratios[1]], axis=-1)
     return np.where(np.isfinite(x), x, 1.0)
 
 
 def _between_roots(level: Array) -> Array:
-    """Places (B, 3n - 1) inside every interval between the positive roots, 0 and ∞."""
+    """Return an x in every interval between the positive roots, 0 and ∞: (B, 3n - 1) in all."""
     x = poly.roots(level).real
     x = np.sort(np.where((x > 0.0) & np.isfinite(x), x, 0.0), axis=-1)
     return np.concatenate([np.sqrt(x[:, 1:] * x[:, :-1]), 0.5 * x, 2.0 * x], axis=-1)
 
 
 def _improve(best: Array, place: Array, x: Array, pair: Array) -> None:
-    """Raise ``best`` to the largest value at ``x`` (B, k), in place."""
+    """Raise ``best`` (B,) and its ``place`` (B,) to the largest ratio at ``x`` (B, k), in place."""
     N, D = poly.at(pair, x)
-    # D is a power: where it comes out negative, a pole is as close to the axis as rounding can tell.
+    # D is never negative. If it comes out negative, a pole is as close to the axis as rounding can resolve.
     value = N / np.abs(D)
     value[~(value > 0.0)] = 0.0
     rows = np.arange(len(x))
@@ -160,7 +183,7 @@ def _improve(best: Array, place: Array, x: Array, pair: Array) -> None:
 
 
 def _climb(best: Array, place: Array, pair: Array) -> None:
-    """Newton's method for d log(N/D) / d log x = 0 from ``place``, kept where it climbs, in place."""
+    """Apply Newton's method to d log(N/D) / d log x = 0 from ``place``, and keep what it gains, in place."""
     inside = (place > 0.0) & np.isfinite(place)
     u = np.log(np.where(inside, place, 1.0))
     k = np.arange(pair.shape[-1] - 1.0, -1.0, -1.0)

@@ -1,8 +1,8 @@
-"""Batched polynomial algebra: arrays (..., n + 1) of real coefficients in falling powers.
+"""Algebra of batches of real polynomials.
 
-The leading axes are candidates; a polynomial shared by all candidates has shape (1, n + 1) or (n + 1,).
-Lives here: arithmetic, powers |p(jω)|² as polynomials in x = ω², roots by companion matrices, the Routh
-test. No control engineering.
+A batch is an array (..., n + 1) of coefficients in falling powers of s. The leading axes count candidates; a
+polynomial that all candidates share has the shape (1, n + 1) or (n + 1,). Squared magnitudes |p(jω)|² are
+polynomials in x = ω².
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ Indices = NDArray[np.intp]
 
 
 def multiply(*factors: Array) -> Array:
-    """Product of polynomials; leading axes broadcast."""
+    """Return the product of polynomials; leading axes broadcast."""
     product = factors[0]
     for factor in factors[1:]:
         n, m = product.shape[-1], factor.shape[-1]
         terms = product[..., :, None] * factor[..., None, :]
-        product = terms.reshape(*terms.shape[:-2], n * m) @ _gathering(n, m)
+        product = terms.reshape(*terms.shape[:-2], n * m) @ _product_sums(n, m)
     return product
 
 
 def add(*terms: Array) -> Array:
-    """Sum of polynomials of any degrees; leading axes broadcast."""
+    """Return the sum of polynomials of any degrees; leading axes broadcast."""
     batch = np.broadcast_shapes(*(term.shape[:-1] for term in terms))
     total = np.zeros((*batch, max(term.shape[-1] for term in terms)))
     for term in terms:
@@ -40,25 +40,25 @@ def add(*terms: Array) -> Array:
 
 
 def mirror(p: Array) -> Array:
-    """p(-s)."""
+    """Return p(-s)."""
     return p * _signs(p.shape[-1])
 
 
-def power(p: Array) -> Array:
-    """|p(jω)|² as a polynomial in x = ω², of the degree of p."""
+def squared_magnitude(p: Array) -> Array:
+    """Return |p(jω)|² as a polynomial in x = ω², which has the degree of p."""
     n = p.shape[-1]
     terms = p[..., :, None] * p[..., None, :]
-    return np.asarray(terms.reshape(*p.shape[:-1], n * n) @ _gathering_power(n))
+    return np.asarray(terms.reshape(*p.shape[:-1], n * n) @ _squared_magnitude_sums(n))
 
 
 def derivative(p: Array) -> Array:
-    """dp/ds."""
+    """Return dp/ds."""
     n = p.shape[-1]
     return p[..., :-1] * np.arange(n - 1.0, 0.0, -1.0) if n > 1 else np.zeros_like(p)
 
 
 def at(p: Array, s: NDArray[Any]) -> NDArray[Any]:
-    """Values (..., k) of polynomials (..., n + 1) at points (..., k), real or complex."""
+    """Return the values (..., k) of polynomials (..., n + 1) at real or complex points (..., k)."""
     value: NDArray[Any] = p[..., :1] * s if p.shape[-1] > 1 else p + np.zeros_like(s)
     for i in range(1, p.shape[-1]):
         value += p[..., i : i + 1]
@@ -67,8 +67,12 @@ def at(p: Array, s: NDArray[Any]) -> NDArray[Any]:
     return value
 
 
-def power_at(p: Array, omega: Array) -> Array:
-    """|p(jω)|² at ω (..., k), from even and odd part: no digits are lost near a root close to the axis."""
+def squared_magnitude_at(p: Array, omega: Array) -> Array:
+    """Return |p(jω)|² at ω (..., k).
+
+    It is computed from the real and the imaginary part of p(jω). So it keeps its relative precision near a
+    root close to the imaginary axis, where the polynomial of :func:`squared_magnitude` loses it.
+    """
     n = p.shape[-1]
     powers = omega[..., None] ** np.arange(n - 1.0, -1.0, -1.0)
     parts = (p[..., None, :] * powers) @ _even_odd_signs(n)
@@ -76,7 +80,7 @@ def power_at(p: Array, omega: Array) -> Array:
 
 
 def even_odd(p: Array) -> tuple[Array, Array]:
-    """E and O, polynomials in x = ω² with p(jω) = E(x) + jω O(x)."""
+    """Return the polynomials E and O in x = ω² for which p(jω) = E(x) + jω O(x)."""
     even, odd = p[..., ::-1][..., ::2], p[..., ::-1][..., 1::2]
     if odd.shape[-1] == 0:
         odd = np.zeros((*p.shape[:-1], 1))
@@ -87,10 +91,11 @@ def even_odd(p: Array) -> tuple[Array, Array]:
 
 
 def roots(p: Array) -> ComplexArray:
-    """Roots (..., n) of polynomials (..., n + 1), by companion eigenvalues; ∞ for each leading 0.
+    """Return the roots (..., n) of polynomials (..., n + 1); ∞ stands for each leading coefficient that is 0.
 
-    Of p and of its reversal, whose roots are the inverses, the one is taken whose companion matrix is less
-    dominated by a far root: a nearly vanishing end coefficient then costs the other roots no digits.
+    The roots are eigenvalues of a companion matrix. A root far from all others (a nearly vanishing first or
+    last coefficient) would cost the others their precision. So each polynomial is reversed where that keeps
+    more digits; the roots of the reversed polynomial are the inverses.
     """
     shape, n = p.shape[:-1], p.shape[-1] - 1
     if n == 0:
@@ -120,7 +125,7 @@ def roots(p: Array) -> ComplexArray:
 
 
 def from_roots(zeros: ComplexArray) -> ComplexArray:
-    """Monic polynomials (..., n + 1) with roots (..., n); real but for rounding where those pair up."""
+    """Return the monic polynomials (..., n + 1), as complex arrays, that have the roots (..., n)."""
     product = np.zeros((*zeros.shape[:-1], zeros.shape[-1] + 1), dtype=np.complex128)
     product[..., 0] = 1.0
     for i in range(zeros.shape[-1]):
@@ -129,7 +134,10 @@ def from_roots(zeros: ComplexArray) -> ComplexArray:
 
 
 def hurwitz(p: Array) -> Flags:
-    """Whether all roots (...) lie in Re s < 0, by the Routh table. A leading coefficient of 0 fails."""
+    """Return for each polynomial (...) if all its roots have Re s < 0, by the Routh table.
+
+    A polynomial whose leading coefficient is 0 has a root at infinity and counts as unstable.
+    """
     n = p.shape[-1]
     p = p * np.sign(p[..., :1])
     width = (n + 1) // 2
@@ -146,14 +154,17 @@ def hurwitz(p: Array) -> Flags:
 
 
 def spectral_abscissa(p: Array) -> Array:
-    """Largest real part (...) of the roots."""
+    """Return the largest real part (...) of the roots; -∞ for a constant."""
     if p.shape[-1] == 1:
         return np.full(p.shape[:-1], -np.inf)
     return np.asarray(roots(p).real.max(axis=-1))
 
 
 def substitute_fraction(p: Array, above: Sequence[float], below: Sequence[float]) -> Array:
-    """Numerator of p(a(s)/b(s)) over b(s)^n, for polynomials a and b of one degree each."""
+    """Return the numerator of p(a(s)/b(s)) over the denominator b(s)^n.
+
+    ``above`` and ``below`` are the two coefficients of a and of b, polynomials of degree 1.
+    """
     n = p.shape[-1] - 1
     a, b = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
     total = p[..., :1]
@@ -165,20 +176,20 @@ def substitute_fraction(p: Array, above: Sequence[float], below: Sequence[float]
 
 
 def _signs(n: int) -> Array:
-    """+1 for even, -1 for odd powers, of polynomials with n coefficients."""
+    """Return +1 for each even and -1 for each odd power of a polynomial with n coefficients."""
     return np.asarray((-1.0) ** np.arange(n - 1, -1, -1))
 
 
 @lru_cache
-def _gathering(n: int, m: int) -> Array:
-    """Matrix (n m, n + m - 1) that adds up the products of coefficients that belong to one power."""
+def _product_sums(n: int, m: int) -> Array:
+    """Return the matrix (n m, n + m - 1) that adds up the products of coefficients which share a power."""
     i, j = np.divmod(np.arange(n * m), m)
     return np.asarray((i + j)[:, None] == np.arange(n + m - 1), dtype=np.float64)
 
 
 @lru_cache
-def _gathering_power(n: int) -> Array:
-    """The same (n n, n) for p(s) p(-s) with s² = -x."""
+def _squared_magnitude_sums(n: int) -> Array:
+    """Return the matrix (n n, n) that adds up the products of coefficients in p(s) p(-s), with s² = -x."""
     i, j = np.divmod(np.arange(n * n), n)
     signs = (-1.0) ** (n - 1 - j) * (-1.0) ** np.arange(n - 1, -1, -1)[:, None]
     return np.asarray(((i + j)[:, None] == 2 * np.arange(n)) * signs.T, dtype=np.float64)
@@ -186,6 +197,6 @@ def _gathering_power(n: int) -> Array:
 
 @lru_cache
 def _even_odd_signs(n: int) -> Array:
-    """Matrix (n, 2) that takes p_k ω^k to the real and the imaginary part of p(jω)."""
+    """Return the matrix (n, 2) that turns the terms p_k ω^k into the real and the imaginary part of p(jω)."""
     k = np.arange(n - 1, -1, -1)
     return np.stack([np.array([1.0, 0.0, -1.0, 0.0])[k % 4], np.array([0.0, 1.0, 0.0, -1.0])[k % 4]], axis=-1)

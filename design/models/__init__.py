@@ -1,1 +1,1 @@
-"""Plant models, their realisations, what limits any controller of them, and measured records."""
+"""Models: plant documents and what a loop sees of them, controllers, realisations, and measured records."""

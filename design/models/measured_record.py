@@ -1,8 +1,8 @@
-"""A measured record beside what the plant model says of it: the data of Fig. 5.
+"""A measured record compared with what the plant model says of it: the data of Fig. 5.
 
-A record is a CSV with the columns time_s, u, y: valve offset in V, position in the plant's unit, evenly
-sampled, u held between samples. The model's initial state and the record's offset are fitted, for a record
-seldom begins at rest at 0.
+A record is a CSV file with the columns time_s, u and y: the valve voltage relative to its centre in V, and
+the position in the plant's unit. It is evenly sampled, and u is constant between samples. A record seldom
+begins at rest at 0. So the initial state of the model and the offset of the record are fitted.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from design.mathematics.polynomials import Array
-from design.models.plant import Plant, Sampling, to_z
+from design.models.plant import Plant
+from design.models.sampling import to_z
 from hil.core.errors import DocumentError
 
 COLUMNS = ("time_s", "u", "y")
+MIN_ROWS = 10
 POOR_PERCENT = 70.0
-"""A fit under this is no confirmation of the model."""
+"""Fit in percent below which the record does not confirm the model."""
 FACTORS = {
     1000.0: "y in mm, the model in m?",
     100.0: "y in cm, the model in m?",
@@ -27,12 +29,12 @@ FACTORS = {
     0.001: "u in mV?",
     -1.0: "valve or potentiometer the other way round than in the model?",
 }
-"""What a record's y may be multiplied by, and why."""
+"""Frequent mistakes in a record, by the factor that they bring into its y."""
 
 
 @dataclass(frozen=True)
 class ModelFit:
-    """Record and model, arrays (k,) over ``time_s``."""
+    """A record and the output of the model for its input: arrays (k,) over ``time_s``."""
 
     source: str
     time_s: Array
@@ -40,27 +42,30 @@ class ModelFit:
     measured: Array
     model: Array
     doubt: str = ""
-    """What speaks against the model where the fit is poor, with the mistake that would explain it."""
+    """Warning that the record does not confirm the model, with a likely reason; empty for a good fit."""
 
     @property
     def fit_percent(self) -> float:
-        """100 (1 - |y - model| / |y - mean y|)."""
+        """Fit of the model in percent: 100 (1 - |y - model| / |y - mean y|)."""
         return _fit_percent(self.measured, self.model)
 
 
 def compare(plant: Plant, text: str, source: str) -> ModelFit:
-    """The record ``text`` beside the model's output for its input. Raises DocumentError naming the row."""
+    """Compare the record ``text``, from the file ``source``, with the output of the model for its input.
+
+    Raises DocumentError that names the row or the column.
+    """
     time_s, u, y = _columns(text, source)
     period_s = float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
     uneven = np.abs(np.diff(time_s) - period_s)
     if not uneven.max() < 0.05 * period_s:
         row = int(uneven.argmax()) + 3
         raise DocumentError(
-            f"{source}: row {row}: {np.diff(time_s)[row - 3]:.6g} s since the row before, the mean is "
-            f"{period_s:.6g} s; the record must be evenly sampled"
+            f"{source}: row {row}: {np.diff(time_s)[row - 3]:.6g} s after the row before, but the mean is "
+            f"{period_s:.6g} s; give an evenly sampled record"
         )
     if not np.ptp(y) > 0.0:
-        raise DocumentError(f"{source}: y never changes; there is nothing to compare")
+        raise DocumentError(f"{source}: y never changes, so there is nothing to compare; record a motion")
     forced, free = _motions(plant, u, period_s)
     model = forced + free @ np.linalg.lstsq(free, y - forced, rcond=None)[0]
     fit = ModelFit(source, time_s - time_s[0], u, y, model)
@@ -74,20 +79,20 @@ def compare(plant: Plant, text: str, source: str) -> ModelFit:
 
 
 def _explanation(plant: Plant, u: Array, y: Array, period_s: float) -> str:
-    """The mistake in a record under which the model would fit, if there is one."""
+    """Return the mistake in the record that would explain the poor fit, as the rest of a sentence."""
     gain, fit_percent = _with_gain(plant, u, y, period_s)
     if fit_percent >= POOR_PERCENT:
         why = [text for factor, text in FACTORS.items() if abs(gain / factor - 1.0) < 0.25]
         number = f"{gain:.0f}" if abs(gain) >= 100.0 else f"{gain:.2g}"
-        told = f": its y is {number} times what the model says, and but for that they agree to"
-        return f"{told} {fit_percent:.1f} %; {why[0] if why else 'other units, or another plant?'}"
+        misfit = f": its y is {number} times what the model says; without this factor they agree to"
+        return f"{misfit} {fit_percent:.1f} %; {why[0] if why else 'other units, or another plant?'}"
     if np.ptp(u) > 0.0 and _with_gain(plant, y, u, period_s)[1] >= POOR_PERCENT:
         return ": with u and y exchanged they agree; are the columns swapped?"
     return ": another plant or axis, other conditions, or a time shift between u and y?"
 
 
 def _with_gain(plant: Plant, u: Array, y: Array, period_s: float) -> tuple[float, float]:
-    """The gain on the model that fits best, and the fit with it in percent."""
+    """Return the gain on the model that fits best, and the fit with this gain in percent."""
     forced, free = _motions(plant, u, period_s)
     columns = np.column_stack([forced, free])
     size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
@@ -102,18 +107,18 @@ def _fit_percent(measured: Array, model: Array) -> float:
 
 
 def _motions(plant: Plant, u: Array, period_s: float) -> tuple[Array, Array]:
-    """The model's output (k,) for u from rest, and what may be added: free motions, a constant (k, n + 1)."""
-    num, den = to_z(plant.transfer_function(Sampling(period_s, delay_samples=0)), period_s)
+    """Return the model's output (k,) for u from rest, and its free motions with a constant (k, n + 1)."""
+    num, den = to_z(plant.record_model(period_s), period_s)
     n = len(den) - 1
-    # Motions from every initial state: z^i/den for i = 1 … n.
+    # The motions from all initial states are spanned by z^i/den for i = 1 … n.
     free = [_filtered(np.eye(1, n + 1, k)[0], den, np.eye(1, len(u))[0]) for k in range(n)]
     return _filtered(num, den, u), np.stack([*free, np.ones_like(u)], axis=1)
 
 
 def _filtered(num: Array, den: Array, u: Array) -> Array:
-    """num/den in falling powers of z, applied to u from rest; transposed direct form II.
+    """Return the output of num/den, in falling powers of z, for the input u from rest.
 
-    A loop, for importing scipy.signal takes longer than records do.
+    This is the transposed direct form II, in plain Python: importing scipy.signal takes longer.
     """
     n = len(den) - 1
     lead = [0.0] * (len(den) - len(num))
@@ -128,6 +133,7 @@ def _filtered(num: Array, den: Array, u: Array) -> Array:
 
 
 def _columns(text: str, source: str) -> tuple[Array, Array, Array]:
+    """Return time_s, u and y (k,) of a CSV text; raise DocumentError for a missing or unreadable value."""
     rows = list(csv.DictReader(io.StringIO(text)))
     names = tuple(rows[0]) if rows else ()
     missing = [name for name in COLUMNS if name not in names]
@@ -135,8 +141,8 @@ def _columns(text: str, source: str) -> tuple[Array, Array, Array]:
         raise DocumentError(
             f"{source}: column {', '.join(missing)} is missing; a record has the columns {', '.join(COLUMNS)}"
         )
-    if len(rows) < 10:
-        raise DocumentError(f"{source}: {len(rows)} rows are too few for a record")
+    if len(rows) < MIN_ROWS:
+        raise DocumentError(f"{source}: {len(rows)} rows are too few for a record; give at least {MIN_ROWS}")
     table = np.zeros((3, len(rows)))
     for i, row in enumerate(rows):
         for j, name in enumerate(COLUMNS):

@@ -1,54 +1,64 @@
-"""Plant models: the plant document, and the plant as the loop sees it.
+"""Plant models: the plant document, its checks, and the plant as a loop sees it.
 
-A continuous loop sees G(s). A sampled loop sees G behind a zero-order hold and whole samples of delay; here
-that is a polynomial pair as well, in the bilinear plane s = 2/T (z - 1)/(z + 1). There a controller sampled
-by Tustin's rule has its continuous coefficients again, the unit circle is the imaginary axis, and every norm
-is that of the sampled loop exactly. So all the mathematics of this package is written once, for s.
+A plant document says from which input to which output its model leads, and which delays the model contains:
+
+- ``num`` and ``den``, in falling powers of s, and ``dead_time_s`` together are the model of the record that
+  the plant was identified from. Its input is the valve voltage u as recorded, held constant for a period.
+- ``contains_delay_samples`` says how many periods of the rig's transport delay lie between the recorded u and
+  the valve, and so inside the model. It is 0 if the recorded u acts on the valve at once, as in eq. (15) of
+  the paper, and 1 if the plant was identified through a rig whose boards apply a command at the next SYNC.
+
+A loop with a delay of its own (``Sampling.delay_samples``) takes the place of the rig. Its delay replaces the
+one that the model contains, so that the transport delay counts exactly once:
+
+    delay of the loop = dead_time_s - contains_delay_samples * sample_time_s + delay_samples * period_s
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import resources
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
 from design.errors import DesignError
-from design.mathematics import polynomials as poly
-from design.mathematics.polynomials import Array
-from design.models.plant_limits import because, hidden_text, hidden_unstable_mode, what_limits
+from design.models.plant_limits import hidden_mode_message, hidden_unstable_mode
+from design.models.sampling import Sampling, zero_order_hold
+from design.models.transfer_function import TransferFunction
 from hil.core.documents import Document, from_json
 from hil.core.errors import DocumentError
 
+MAX_ORDER = 20
+"""Largest degree of num and den."""
+MIN_COEFFICIENT, MAX_COEFFICIENT = 1e-100, 1e100
+"""Moduli between which coefficients must lie unless they are 0; the mathematics squares them."""
+_ROUNDING = 1e-9
+"""Share of a period below which a delay is a rounding error."""
+_COVARIANCE_ROUNDING = 1e-9
+"""Relative asymmetry, or negative eigenvalue, of a covariance that is a rounding error."""
 
-class TransferFunction(NamedTuple):
-    """num/den, arrays (..., n + 1) of coefficients in falling powers of s."""
-
-    num: Array
-    den: Array
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """The loop's period in seconds and whole samples between a measurement and its action on the valve."""
-
-    period_s: float
-    delay_samples: int = 1
-
-    def warp(self, omega: Array | float) -> Array:
-        """Frequency of the bilinear plane for a true frequency in rad/s."""
-        return 2.0 / self.period_s * np.tan(0.5 * self.period_s * np.asarray(omega, dtype=float))
-
-    def unwarp(self, omega: Array | float) -> Array:
-        """True frequency in rad/s for a frequency of the bilinear plane."""
-        return 2.0 / self.period_s * np.arctan(0.5 * self.period_s * np.asarray(omega, dtype=float))
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+DeadTime = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 
 
-class Plant(Document, frozen=True, kw_only=True):
-    """An identified plant: output unit per input unit, num/den in falling powers of s, relative to rest."""
+class DiscreteModel(Document, frozen=True):
+    """The model as it was identified, from u to y as recorded: num/den in falling powers of z."""
+
+    num: list[float]
+    den: list[float]
+    sample_time_s: Positive
+
+
+class Covariance(Document, frozen=True):
+    """The covariance matrix of the identified parameters, in the order of their names."""
+
+    parameters: list[str]
+    matrix: list[list[float]]
+
+
+class Plant(Document, frozen=True, kw_only=True, omit_defaults=True):
+    """An identified plant: output unit per input unit, relative to the point of operation."""
 
     format: Literal["hil-plant"]
     version: Literal[1]
@@ -56,184 +66,187 @@ class Plant(Document, frozen=True, kw_only=True):
     description: str = ""
     input_unit: Literal["V"]
     output_unit: Literal["m", "rad"]
-    sample_time_s: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
-    """Period of the record it was identified from."""
+    sample_time_s: Positive | None = None
+    """Period in s of the record that the plant was identified from."""
     num: list[float]
+    """Numerator in falling powers of s."""
     den: list[float]
+    """Denominator in falling powers of s."""
+    dead_time_s: DeadTime = 0.0
+    """Dead time of the model in s, in addition to num/den."""
+    contains_delay_samples: Annotated[int, msgspec.Meta(ge=0, le=20)] = 0
+    """Periods of ``sample_time_s`` of the rig's transport delay that the model contains."""
+    discrete: DiscreteModel | None = None
+    covariance: Covariance | None = None
+    fit: dict[str, float] = msgspec.field(default_factory=dict)
+    """Fit of the model in percent, 100 for a perfect one, by the name of the record."""
+    conditions: dict[str, bool | int | float | str] = msgspec.field(default_factory=dict)
+    """Conditions of the experiment, such as the supply pressure, by name."""
+    recording: str | None = None
+    """SHA-256 of the recording that the plant was identified from, as 64 hexadecimal digits."""
+    warnings: list[str] = msgspec.field(default_factory=list)
+    """What speaks against the model; every design with this plant repeats it."""
     origin: dict[str, Any] = msgspec.field(default_factory=dict)
+    """Where the model comes from, in any form."""
 
     @property
-    def sense(self) -> float:
-        """1 or -1: the sign of feedback that negative feedback with a positive gain is, at low frequency."""
+    def rational_part(self) -> TransferFunction:
+        """The model num/den (n + 1,) without its dead time."""
+        return TransferFunction(
+            np.trim_zeros(np.asarray(self.num, dtype=float), "f"),
+            np.trim_zeros(np.asarray(self.den, dtype=float), "f"),
+        )
+
+    @property
+    def gain_sign(self) -> float:
+        """The sign of the gain at low frequency: 1 or -1."""
         return float(np.sign(np.trim_zeros(self.num, "b")[-1] * np.trim_zeros(self.den, "f")[0]))
 
+    @property
+    def own_dead_time_s(self) -> float:
+        """Dead time of the plant itself in s, without the rig's transport delay.
+
+        It is below 0 if num/den contain a part of the transport delay.
+        """
+        return self.dead_time_s - self.contains_delay_samples * (self.sample_time_s or 0.0)
+
+    @property
+    def is_rational(self) -> bool:
+        """True if num/den alone are the plant without the rig's transport delay."""
+        return abs(self.own_dead_time_s) <= _ROUNDING * (self.sample_time_s or self.dead_time_s or 1.0)
+
+    def loop_delay_s(self, sampling: Sampling) -> float:
+        """Return the delay in s, beside num/den and the hold, of a loop with this plant.
+
+        Raises DesignError if the model contains more delay than the loop has.
+        """
+        loop_s = sampling.delay_samples * sampling.period_s
+        delay_s = self.own_dead_time_s + loop_s
+        if delay_s < -_ROUNDING * sampling.period_s:
+            raise DesignError(
+                f"plant {self.name}: contains_delay_samples: its model contains "
+                f"{self.contains_delay_samples} periods of {self.sample_time_s:g} s of the rig's transport "
+                f"delay, but this loop has only {loop_s + self.dead_time_s:g} s (delay_samples "
+                f"{sampling.delay_samples} at {sampling.period_s:g} s): correct contains_delay_samples, or "
+                "identify the plant with the delay of this loop"
+            )
+        return max(delay_s, 0.0)
+
     def transfer_function(self, sampling: Sampling | None = None) -> TransferFunction:
-        """G(s), or with ``sampling`` hold, plant and delay in the bilinear plane."""
-        num = np.trim_zeros(np.asarray(self.num, dtype=float), "f")
-        den = np.trim_zeros(np.asarray(self.den, dtype=float), "f")
-        if sampling is None:
-            return TransferFunction(num, den)
-        return delayed(zero_order_hold(TransferFunction(num, den), sampling.period_s), sampling)
+        """Return G(s), or with ``sampling`` the hold, the plant and all delays in the bilinear plane.
+
+        Both are exact. Raises DesignError for a continuous loop with a dead time, which no polynomials can
+        represent, and as :meth:`loop_delay_s` and :func:`zero_order_hold` do.
+        """
+        if sampling is not None:
+            return self._behind_hold(sampling.period_s, self.loop_delay_s(sampling))
+        if not self.is_rational:
+            what = (
+                f"dead_time_s: the plant has a dead time of {self.own_dead_time_s:g} s"
+                if self.own_dead_time_s > 0.0
+                else "contains_delay_samples: num and den contain a part of the rig's transport delay"
+            )
+            raise DesignError(
+                f"plant {self.name}: {what}, which a continuous loop cannot represent exactly; design for "
+                'the sampled loop (loop.design = "sampled")'
+            )
+        return self.rational_part
+
+    def record_model(self, period_s: float) -> TransferFunction:
+        """Return the model from u to y of a record with this period, in the bilinear plane.
+
+        It contains the delays that the model contains, and no others.
+        """
+        return self._behind_hold(period_s, self.dead_time_s)
+
+    def _behind_hold(self, period_s: float, delay_s: float) -> TransferFunction:
+        try:
+            return zero_order_hold(self.rational_part, period_s, delay_s)
+        except DesignError as error:
+            raise DesignError(f"plant {self.name}: {error}") from None
 
 
 def read_plant(text: str, source: str) -> Plant:
-    """Read and check the text of a plant document. Raises DocumentError naming file, key and reason."""
+    """Read and check the text of a plant document; ``source``, a file name, goes into error messages.
+
+    Raises DocumentError that names file, key, reason and remedy.
+    """
     plant = from_json(text, Plant, source)
-    if not any(plant.den):
-        raise DocumentError(f"{source}: den: all coefficients are 0")
-    if not any(plant.num):
-        raise DocumentError(f"{source}: num: the plant's gain is 0; nothing can be controlled through it")
-    G = plant.transfer_function()
-    if len(G.num) > len(G.den):
-        raise DocumentError(
-            f"{source}: num has degree {len(G.num) - 1}, den {len(G.den) - 1}: improper, no plant answers "
-            "before its input; check the order of the coefficients (falling powers of s)"
-        )
-    hidden = hidden_unstable_mode(G.num, G.den)
+    _check_polynomials(plant.num, plant.den, source, "s")
+    hidden = hidden_unstable_mode(*plant.rational_part)
     if hidden is not None:
-        raise DocumentError(f"{source}: {hidden_text(hidden)}")
+        raise DocumentError(f"{source}: {hidden_mode_message(hidden)}")
+    if plant.contains_delay_samples and plant.sample_time_s is None:
+        raise DocumentError(
+            f"{source}: contains_delay_samples: {plant.contains_delay_samples} periods, but sample_time_s, "
+            "the length of a period, is missing; add it"
+        )
+    if plant.discrete is not None:
+        _check_polynomials(plant.discrete.num, plant.discrete.den, f"{source}: discrete", "z")
+    if plant.covariance is not None:
+        _check_covariance(plant.covariance, f"{source}: covariance")
+    for name, percent in plant.fit.items():
+        if percent > 100.0:
+            raise DocumentError(f"{source}: fit.{name}: {percent:g} % is over 100 %; give the fit in percent")
+    if plant.recording is not None and not _is_sha256(plant.recording):
+        raise DocumentError(
+            f"{source}: recording: {plant.recording!r} is not a SHA-256 of 64 hexadecimal digits; copy it "
+            "from `sha256sum FILE`"
+        )
     return plant
 
 
 def check_plant_fits(plant: Plant, source: str, unit: str) -> None:
-    """Refuse a plant whose output is not in the axis' unit. Raises DocumentError."""
+    """Raise DocumentError unless the plant's output is in the axis' unit."""
     if plant.output_unit != unit:
         raise DocumentError(f"{source}: output_unit: {plant.output_unit}, but the axis is in {unit}")
 
 
-def as_list(plants: Plant | Sequence[Plant]) -> list[Plant]:
-    """One plant or several."""
-    return [plants] if isinstance(plants, Plant) else list(plants)
-
-
-def limits_of(plants: Plant | Sequence[Plant], sampling: Sampling | None, wanted_rad_s: float = 0.0) -> str:
-    """What these plants make hard for any controller, to be told with a failure; empty if nothing.
-
-    ``wanted_rad_s`` is the crossover that was asked for.
-    """
-    several = as_list(plants)
-    signs = {plant.name: plant.sense for plant in several}
-    delay_s = 0.0 if sampling is None else (sampling.delay_samples + 0.5) * sampling.period_s
-    limits = [
-        limit if len(several) == 1 else f"{plant.name}: {limit}"
-        for plant in several
-        for limit in what_limits(*plant.transfer_function(), delay_s, wanted_rad_s)
-    ]
-    if len(set(signs.values())) > 1:
-        reversed_ones = ", ".join(name for name, sign in signs.items() if sign < 0.0)
-        limits.append(
-            f"of these plants {reversed_ones} moves against its input, the others with it: hardly any "
-            "controller holds them all"
-        )
-    return because(limits)
-
-
-def as_models(plants: Plant | Sequence[Plant], sampling: Sampling | None) -> list[TransferFunction]:
-    """What the loop sees of one plant or several. Raises DesignError where a mode is hidden and unstable."""
-    several = as_list(plants)
-    for plant in several:
-        hidden = hidden_unstable_mode(*plant.transfer_function())
-        if hidden is not None:
-            raise DesignError(f"plant {plant.name}: {hidden_text(hidden)}")
-    return [plant.transfer_function(sampling) for plant in several]
-
-
 def paper_plant() -> Plant:
-    """The paper's eq. (15), shipped with the package."""
+    """Return the paper's eq. (15), which is shipped with the package."""
     name = "plants/paper.json"
     return read_plant(resources.files("design.models").joinpath(name).read_text("utf-8"), name)
 
 
-def zero_order_hold(G: TransferFunction, period_s: float) -> TransferFunction:
-    """G behind a zero-order hold, in the bilinear plane; exact, and no worse conditioned for short periods.
-
-    With Φ = exp(AT): A_w = 2/T (Φ - I)(Φ + I)^-1, and the factor 1 - sT/2 is the zero at z = ∞.
-    """
-    n = len(G.den) - 1
-    num, den = G.num / G.den[0], G.den / G.den[0]
-    direct = float(num[0]) if len(num) == n + 1 else 0.0
-    if n == 0:
-        return TransferFunction(num, den)
-    from scipy.linalg import expm
-
-    poles = poly.roots(den)
-    scale = max(float(np.abs(poles).max()), 1e-3 / period_s)
-    # Companion form in time scaled by the fastest pole, so that no entry dwarfs the others.
-    scaled_den = den / scale ** np.arange(n + 1)
-    scaled_num = poly.add(np.zeros(n + 1), num)[1:] / scale ** np.arange(1, n + 1) - direct * scaled_den[1:]
-    A = np.eye(n, k=-1)
-    A[0] = -scaled_den[1:]
-    B = np.eye(n, 1)
-    C = scaled_num.reshape(1, n)
-    block = np.zeros((2 * n, 2 * n))
-    block[:n, :n], block[:n, n:] = A, np.eye(n)
-    step = period_s * scale
-    phi = expm(block * step)[:n, n:]
-    plus = 2.0 * np.eye(n) + A @ phi
-    if np.linalg.norm(plus, -2) < 1e-12:
-        raise DesignError(
-            f"the plant has an undamped mode at half the sampling frequency ({np.pi / period_s:.4g} rad/s): "
-            "a loop of this period cannot see it"
+def _check_polynomials(num: list[float], den: list[float], source: str, variable: str) -> None:
+    for key, coefficients in (("num", num), ("den", den)):
+        if len(coefficients) > MAX_ORDER + 1:
+            raise DocumentError(
+                f"{source}: {key}: {len(coefficients)} coefficients are order {len(coefficients) - 1}; the "
+                f"largest order is {MAX_ORDER}: identify a model of lower order"
+            )
+        for i, coefficient in enumerate(coefficients):
+            if coefficient and not MIN_COEFFICIENT <= abs(coefficient) <= MAX_COEFFICIENT:
+                raise DocumentError(
+                    f"{source}: {key}[{i}]: {coefficient:g} is neither 0 nor between {MIN_COEFFICIENT:g} and "
+                    f"{MAX_COEFFICIENT:g}: scale num and den by a common factor"
+                )
+    if not any(den):
+        raise DocumentError(f"{source}: den: all coefficients are 0; give the denominator of the model")
+    if not any(num):
+        raise DocumentError(f"{source}: num: the plant's gain is 0; no controller can act through it")
+    above, below = len(np.trim_zeros(num, "f")) - 1, len(np.trim_zeros(den, "f")) - 1
+    if above > below:
+        raise DocumentError(
+            f"{source}: num has degree {above}, den {below}: the model is improper and would respond before "
+            f"its input; check the order of the coefficients (falling powers of {variable})"
         )
-    inverse = np.linalg.inv(plus)
-    A_w = 2.0 / step * A @ phi @ inverse
-    B_w, C_w = phi @ B, 2.0 / step * C @ inverse
-    den_w = poly.from_roots(np.tanh(0.5 * step * poles / scale) * (2.0 / step + 0j)).real
-    num_w = numerator(A_w, B_w, C_w, den_w)
-    num_w = poly.add(poly.multiply(num_w, np.array([-0.5 * step, 1.0])), direct * den_w)
-    back = scale ** np.arange(n + 1.0)
-    return TransferFunction(num_w * back, den_w * back)
 
 
-def numerator(A: Array, B: Array, C: Array, den: Array) -> Array:
-    """Numerator (n,) of C (sI - A)^-1 B over ``den``, det(sI - A).
-
-    Fitted to its values at points spread over all magnitudes of the poles, each relative to its own size:
-    so slow and fast zeros keep their digits alike.
-    """
-    n = len(A)
-    moduli = np.abs(np.linalg.eigvals(A))
-    moduli = moduli[moduli > 1e-12 * moduli.max(initial=0.0)]
-    if not len(moduli):
-        moduli = np.ones(1)
-    k = np.arange(8 * n)
-    golden = 0.5 * np.sqrt(5.0) - 0.5
-    radii = np.geomspace(0.2 * moduli.min(), 5.0 * moduli.max(), len(k))
-    s = radii * np.exp(1j * np.pi * ((0.5 + k * golden) % 1.0))
-    resolvents = np.linalg.solve(s[:, None, None] * np.eye(n) - A, np.broadcast_to(B, (len(s), n, 1)))
-    values = (C @ resolvents)[:, 0, 0] * np.polyval(den, s)
-    size = np.abs(values)
-    if not size.all():
-        return np.zeros(max(n, 1))
-    rows = s[:, None] ** np.arange(n - 1, -1, -1) / size[:, None]
-    columns = np.abs(rows).max(axis=0, initial=0.0)
-    rows, right = rows / columns, values / size
-    fitted = np.linalg.lstsq(
-        np.concatenate([rows.real, rows.imag]), np.concatenate([right.real, right.imag]), rcond=None
-    )[0]
-    return np.asarray(fitted / columns)
+def _check_covariance(covariance: Covariance, source: str) -> None:
+    n = len(covariance.parameters)
+    if n == 0 or n != len(set(covariance.parameters)):
+        raise DocumentError(f"{source}.parameters: give the name of each parameter once")
+    if len(covariance.matrix) != n or any(len(row) != n for row in covariance.matrix):
+        raise DocumentError(f"{source}.matrix: it must have {n} rows of {n} numbers, one for each parameter")
+    matrix = np.array(covariance.matrix)
+    size = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
+    if (np.abs(matrix - matrix.T) > _COVARIANCE_ROUNDING * size).any():
+        raise DocumentError(f"{source}.matrix: it is not symmetric, so it is no covariance")
+    scaled = matrix / np.where(size > 0.0, size, 1.0)
+    if (np.diag(matrix) < 0.0).any() or np.linalg.eigvalsh(scaled).min() < -_COVARIANCE_ROUNDING:
+        raise DocumentError(f"{source}.matrix: it has a negative eigenvalue, so it is no covariance")
 
 
-def delayed(G: TransferFunction, sampling: Sampling) -> TransferFunction:
-    """G with the sampling's whole samples of delay, z^-1 = (1 - sT/2)/(1 + sT/2)."""
-    num, den = G
-    half = 0.5 * sampling.period_s
-    for _ in range(sampling.delay_samples):
-        num = poly.multiply(num, np.array([-half, 1.0]))
-        den = poly.multiply(den, np.array([half, 1.0]))
-    return TransferFunction(num, den)
-
-
-def to_z(H: TransferFunction, period_s: float) -> TransferFunction:
-    """From the bilinear plane to z (Tustin's rule): polynomials in falling powers of z, den monic."""
-    n = max(H.num.shape[-1], H.den.shape[-1])
-    pair = [
-        poly.substitute_fraction(
-            np.concatenate([np.zeros((*p.shape[:-1], n - p.shape[-1])), p], axis=-1),
-            (2.0 / period_s, -2.0 / period_s),
-            (1.0, 1.0),
-        )
-        for p in H
-    ]
-    lead = pair[1][..., :1]
-    return TransferFunction(pair[0] / lead, pair[1] / lead)
+def _is_sha256(text: str) -> bool:
+    return len(text) == 64 and all(character in "0123456789abcdef" for character in text)

@@ -13,13 +13,15 @@ from design.synthesis.weight_selection import LEAST_COMPATIBLE
 
 
 def hints(design: Design) -> list[str]:
-    """What another search might do better: parameters at an end of their box, an end too early."""
-    found = [
+    """Return the warnings of the plants' files, and what another search might do better."""
+    plants = [design.plant, *(guarantee.plant for guarantee in design.guarantees)]
+    found = [f"plant {plant.name}: {warning}" for plant in plants for warning in plant.warnings]
+    found += [
         f"{', '.join(names)} of the {what}: at a wall of the box; widen it, unless that is wanted, or "
         "see whether the plant is in other units than its file says"
         for what, names in (
-            ("weight", design.weight.at_walls),
-            ("controller", design.synthesis.at_walls),
+            ("weight", design.weight.at_bounds),
+            ("controller", design.synthesis.at_bounds),
         )
         if names
     ]

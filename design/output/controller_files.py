@@ -57,7 +57,16 @@ def _origin(design: Design, candidate: Candidate, measures: Measures) -> dict[st
     origin: dict[str, Any] = {
         "method": candidate.method,
         "plant": {
-            key: getattr(design.plant, key) for key in ("name", "num", "den", "output_unit", "input_unit")
+            key: getattr(design.plant, key)
+            for key in (
+                "name",
+                "num",
+                "den",
+                "dead_time_s",
+                "contains_delay_samples",
+                "output_unit",
+                "input_unit",
+            )
         },
         "loop": loop_text(design),
         "weight": {"num": weight.weight.num.tolist(), "den": weight.weight.den.tolist(), **weight.parameters},
@@ -68,7 +77,7 @@ def _origin(design: Design, candidate: Candidate, measures: Measures) -> dict[st
         "parameters": dict(candidate.parameters),
         "margins": {
             "eps_opt": design.problem.eps_opt,
-            "eps_continuous": measures.eps_continuous,
+            "eps_continuous": _finite(measures.eps_continuous),
             "eps_sampled": measures.eps_sampled,
             "gain_margin": _finite(measures.gain_margin),
             "phase_margin_rad": measures.phase_margin_rad,

@@ -18,7 +18,7 @@ from design.closed_loop.comparison import Measures, delay_text, number_text, tab
 from design.closed_loop.specifications import ROUNDING, Specification
 from design.mathematics.polynomials import Array
 from design.models.measured_record import ModelFit
-from design.models.plant import TransferFunction
+from design.models.transfer_function import TransferFunction
 from design.output import figures
 from design.output.advice import hints, warnings
 from design.output.figures import Figure
@@ -137,9 +137,9 @@ def render(
         figures=drawn,
         no_record=NO_RECORD if measured is None else "",
         verdicts=verdicts,
-        plant_tf=mathml(design.plant.transfer_function(), "G"),
+        plant_tf=mathml(design.plant.rational_part, "G", design.plant.dead_time_s),
         weight_tf=mathml(problem.weight, "W 1"),
-        shaped_tf=mathml(shaped(design.plant.transfer_function(), problem.weight), "G s"),
+        shaped_tf=mathml(shaped(design.plant.rational_part, problem.weight), "G s", design.plant.dead_time_s),
         loop=loop_text(design),
         delay=delay_text(problem.rig_sampling),
         laws=[(c.name, c.method, _parameters(c.parameters), to_json(c.law)) for c in design.candidates],
@@ -159,19 +159,25 @@ def versions() -> dict[str, str]:
 def loop_text(design: Design) -> str:
     """The loop that was designed for, in words."""
     rig = design.problem.rig_sampling
-    sampled = f"zero-order hold at {rig.period_s:g} s, {delay_text(rig)}, K by Tustin's rule"
+    sampled = f"zero-order hold at {rig.period_s:g} s, {delay_text(rig, design.plant)}, K by Tustin's rule"
     if design.problem.sampling is None:
         return f"continuous (the rig's loop, for comparison: {sampled})"
     return f"sampled: {sampled}"
 
 
-def mathml(H: TransferFunction, name: str) -> str:
-    """H(s) as MathML; ``name`` is a symbol and its index, "W 1"."""
+def mathml(H: TransferFunction, name: str, dead_time_s: float = 0.0) -> str:
+    """Return H(s) with its dead time as MathML; ``name`` is a symbol and its index, such as "W 1"."""
     symbol, _, index = name.partition(" ")
     head = f"<msub><mi>{symbol}</mi><mi>{index}</mi></msub>" if index else f"<mi>{symbol}</mi>"
     argument = '<mo stretchy="false">(</mo><mi>s</mi><mo stretchy="false">)</mo>'
     num, den = (f"<mrow>{_polynomial(np.ravel(p))}</mrow>" for p in H)
-    return f'<math display="block"><mrow>{head}{argument}<mo>=</mo><mfrac>{num}{den}</mfrac></mrow></math>'
+    delay = (
+        f"<msup><mi>e</mi><mrow><mo>−</mo><mn>{dead_time_s:.5g}</mn><mi>s</mi></mrow></msup>"
+        if dead_time_s
+        else ""
+    )
+    fraction = f"<mfrac>{num}{den}</mfrac>{delay}"
+    return f'<math display="block"><mrow>{head}{argument}<mo>=</mo>{fraction}</mrow></math>'
 
 
 def _polynomial(p: Array) -> str:
@@ -213,7 +219,7 @@ def _specification_rows(design: Design) -> list[dict[str, str | bool]]:
 
 
 def _limit(specification: Specification) -> str:
-    sign = "≤" if specification.kind.limit_is_largest else "≥"
+    sign = "≤" if specification.kind.is_upper_limit else "≥"
     return f"{sign} {specification.limit:g} {specification.kind.unit}".rstrip()
 
 

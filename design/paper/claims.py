@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from design.closed_loop.comparison import Candidate, Measures, Problem
-from design.closed_loop.specifications import Reading
+from design.closed_loop.specifications import PAPER, Reading
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
 from design.models.controller import Controller
-from design.models.plant import Plant, TransferFunction
+from design.models.plant import Plant
+from design.models.transfer_function import TransferFunction
 from design.paper.searches import PaperSearches, Runs
 from design.paper.verdicts import Verdict, number, statement
 from design.robustness import margins
@@ -232,7 +233,8 @@ def _responses(e: Evidence) -> Iterator[Verdict]:
     yield number(
         "Fig. 9", "overshoot of TLC", 10.0, 100.0 * tlc.overshoot, 1.0, why.format(continuous[1]), unit=" %"
     )
-    failing = [m.overshoot > 0.05 or m.settling_s > 1.2 for m in (zn, tlc)]
+    limits = {specification.quantity: specification.limit for specification in PAPER}
+    failing = [m.overshoot > limits["overshoot"] or m.settling_s > limits["settling_s"] for m in (zn, tlc)]
     yield statement(
         "Fig. 9",
         "ZN and TLC miss the specifications",
@@ -259,8 +261,8 @@ def _responses(e: Evidence) -> Iterator[Verdict]:
         "Fig. 10",
         "no steady-state error",
         f"PPID {100 * ppid.error:.3f} %, HLS {100 * hls.error:.3f} %",
-        max(ppid.error, hls.error) < 0.001,
-        "below eq. (9)'s 0.001",
+        max(ppid.error, hls.error) < limits["error"],
+        f"below eq. (9)'s {limits['error']:g}",
     )
 
 

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from importlib import resources
 
 from design.closed_loop.comparison import Problem
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import readings
-from design.models.controller import of_error
-from design.models.plant import Sampling, paper_plant
+from design.models.controller import one_degree_of_freedom
+from design.models.plant import paper_plant
+from design.models.sampling import Sampling
 from design.paper.claims import HLS, PERIOD_S, PPID, W1, Evidence, judge
 from design.paper.searches import run_searches
 from design.paper.verdicts import Verdict
@@ -71,7 +72,7 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
     cycle = baselines.ultimate_cycle(plant.transfer_function(without_delay), without_delay)
     zn, tlc = baselines.ziegler_nichols(cycle), baselines.tyreus_luyben(cycle)
     tuned = f"Ku {cycle.gain:.4g}, Pu {cycle.period_s:.4g} s of the loop sampled at {PERIOD_S} s, N = 10"
-    hls = of_error(HLS.num[None, :], HLS.den[None, :])
+    hls = one_degree_of_freedom(HLS.num[None, :], HLS.den[None, :])
     candidates = (
         of_structure("PPID (20)", "eq. (20), as printed", pid, PPID, problem),
         of_polynomials("HLS (18)", "eq. (18), as printed", hls, problem),
@@ -82,7 +83,7 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
     )
     measures = tuple(problem.measure(candidate) for candidate in candidates)
     G, Gs = problem.loop_plant, shaped(problem.loop_plant, W1)
-    selecting = Loops(G, baselines.loop_shaping_controller(G, W1), W=W1, desired=Gs)
+    selecting = ClosedLoops(G, baselines.loop_shaping_controller(G, W1), W=W1, desired=Gs)
     # The report shows the weight (16) and the printed controllers, and of the searches the median runs.
     weight = replace(
         searches.typical_weight or best_weight,
@@ -90,13 +91,13 @@ def reproduce(on_progress: OnProgress | None = None) -> Reproduction:
         weight=W1,
         eps_opt=problem.eps_opt,
         readings=readings(specifications, selecting),
-        at_walls=(),
+        at_bounds=(),
     )
     design = Design(
         design_file=asked,
         plant=plant,
         weight=weight,
-        synthesis=replace(searches.typical_controller, at_walls=()),
+        synthesis=replace(searches.typical_controller, at_bounds=()),
         problem=problem,
         candidates=candidates,
         measures=measures,

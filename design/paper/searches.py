@@ -14,7 +14,8 @@ import numpy as np
 
 from design.errors import InfeasibleError
 from design.mathematics.polynomials import Array
-from design.models.plant import Plant, TransferFunction
+from design.models.plant import Plant
+from design.models.transfer_function import TransferFunction
 from design.search.random_search import RandomSearch
 from design.search.searcher import Searcher, SearchResult
 from design.synthesis.design_file import DesignFile

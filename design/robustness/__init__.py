@@ -1,1 +1,1 @@
-"""Stability margins, the nu-gap, loop shaping and the central controller."""
+"""Stability margins, the ν-gap between plants, loop shaping, and the central controller."""

@@ -1,8 +1,10 @@
-"""H-infinity loop shaping by the book: Appendices A and B, and McFarlane-Glover synthesis, in state space.
+"""H-infinity loop shaping of one plant by Riccati equations, in state space.
 
-Eqs. (5) to (7), (A.1), (A.2), (B.2); Glover and McFarlane 1989; Skogestad and Postlethwaite, sec. 9.4. Any
-plant with one input and one output, strictly proper or not; sampled ones in the bilinear plane (``plant``),
-which keeps every norm. For one plant at a time; ``central_controller`` has the same for thousands.
+This is the synthesis of McFarlane and Glover: eqs. (5) to (7), (A.1), (A.2) and (B.2) of the paper; Glover
+and McFarlane 1989; Skogestad and Postlethwaite, Multivariable Feedback Control, 2nd ed., sec. 9.4. The plant
+has one input and one output, and need not be strictly proper. A sampled plant is given in the bilinear plane
+(see :mod:`design.models.plant`), which leaves every norm as it is. For many plants at once there is
+:mod:`design.robustness.central_controller`.
 """
 
 from __future__ import annotations
@@ -14,12 +16,12 @@ import numpy as np
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
-from design.models.plant import TransferFunction
 from design.models.realisation import StateSpace, realise
+from design.models.transfer_function import TransferFunction
 
 
 class LoopShaping(NamedTuple):
-    """A synthesis for one shaped plant: K∞ for negative feedback, γ asked for, and the best there is."""
+    """The controller K∞ for one shaped plant, its γ, and the smallest possible γ; negative feedback."""
 
     controller: StateSpace
     gamma: float
@@ -27,12 +29,15 @@ class LoopShaping(NamedTuple):
 
 
 def shaped(G: TransferFunction, W: TransferFunction) -> TransferFunction:
-    """Gs = G W1, eq. (7) with W2 = 1."""
+    """Return the shaped plant Gs = G W1 of eq. (7), with W2 = 1."""
     return TransferFunction(poly.multiply(G.num, W.num), poly.multiply(G.den, W.den))
 
 
 def riccati_solutions(Gs: StateSpace) -> tuple[Array, Array]:
-    """Z of (A.1) and X of (A.2), each (n, n)."""
+    """Return the solutions Z of (A.1) and X of (A.2), each (n, n).
+
+    Raises DesignError if the shaped plant has an uncontrollable or unobservable mode on the imaginary axis.
+    """
     from scipy.linalg import solve_continuous_are
 
     A, B, C, D = Gs
@@ -43,19 +48,22 @@ def riccati_solutions(Gs: StateSpace) -> tuple[Array, Array]:
         Z = solve_continuous_are(A.T, C.T, B @ B.T, R, s=B @ D.T)
     except np.linalg.LinAlgError as error:
         raise DesignError(
-            f"the shaped plant has an uncontrollable or unobservable mode on the axis: {error}"
+            f"the shaped plant has an uncontrollable or unobservable mode on the imaginary axis: {error}"
         ) from None
     return np.asarray(Z), np.asarray(X)
 
 
 def gamma_opt(Gs: StateSpace) -> float:
-    """γ_opt = (1 + λ_max(XZ))^(1/2), Appendix A; ε_opt is its inverse."""
+    """Return γ_opt = (1 + λ_max(XZ))^(1/2) of Appendix A; the optimal margin is ε_opt = 1/γ_opt."""
     Z, X = riccati_solutions(Gs)
     return _gamma_opt(Z, X)
 
 
 def normalised_left_coprime_factors(Gs: StateSpace) -> StateSpace:
-    """[N M] of Appendix B: Gs = M^-1 N with N N~ + M M~ = 1, both stable. Outputs p, inputs m + p."""
+    """Return the stable factors [N M] of Appendix B, with Gs = M^-1 N and N N~ + M M~ = 1.
+
+    The system has p outputs and m + p inputs for a plant of p outputs and m inputs.
+    """
     A, B, C, D = Gs
     Z, _ = riccati_solutions(Gs)
     R = np.eye(C.shape[0]) + D @ D.T
@@ -65,13 +73,18 @@ def normalised_left_coprime_factors(Gs: StateSpace) -> StateSpace:
 
 
 def check_factor(factor: float) -> None:
-    """Refuse γ = factor γ_opt unless it is over γ_opt. Raises DesignError."""
+    """Raise DesignError unless ``factor``, in γ = factor γ_opt, is over 1."""
     if not factor > 1.0:
-        raise DesignError(f"gamma must be over gamma_opt: factor {factor} is not over 1")
+        raise DesignError(
+            f"gamma_factor {factor} is not over 1: gamma must be over gamma_opt; choose a factor such as 1.1"
+        )
 
 
 def synthesise(Gs: TransferFunction, factor: float = 1.1) -> LoopShaping:
-    """K∞ of eq. (6) for γ = factor γ_opt; factor must be over 1 (at 1 the formulas divide by zero)."""
+    """Return the controller K∞ of eq. (6) for γ = factor γ_opt.
+
+    Raises DesignError unless ``factor`` is over 1: at 1 the formulas divide by zero.
+    """
     check_factor(factor)
     plant = realise(Gs)
     A, B, C, D = plant

@@ -1,1 +1,1 @@
-"""Searchers over the unit cube: one interface, several methods, and the parameter bounds."""
+"""Searchers for the best point of a unit cube: one interface, three methods, and the search bounds."""

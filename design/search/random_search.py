@@ -1,4 +1,4 @@
-"""Points drawn at random: what a searcher has to beat to have searched at all."""
+"""Random search: the yardstick that every other searcher has to beat."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from design.mathematics.polynomials import Array
 
 
 class RandomSearch:
-    """Uniform points of the unit cube, a generation at a time."""
+    """Uniformly distributed points of the unit cube, ``population`` of them in each generation."""
 
     name = "random search"
 
@@ -19,18 +19,18 @@ class RandomSearch:
         self._best = -np.inf
 
     def ask(self) -> Array:
-        """See Searcher."""
+        """See :class:`Searcher`."""
         return self._random.random(self._shape)
 
-    def worth(self) -> Array:
-        """See Searcher: only what is better than all before it is kept."""
+    def cutoff(self) -> Array:
+        """See :class:`Searcher`. Only a point that is better than all earlier ones is of use."""
         return np.full(self._shape[0], self._best)
 
-    def tell(self, fitness: Array) -> None:
-        """See Searcher."""
+    def update(self, fitness: Array) -> None:
+        """See :class:`Searcher`."""
         self._generations_left -= 1
         self._best = max(self._best, float(fitness.max()))
 
-    def stop(self) -> str | None:
-        """See Searcher."""
+    def stop_reason(self) -> str | None:
+        """See :class:`Searcher`."""
         return "last generation" if self._generations_left <= 0 else None

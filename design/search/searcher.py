@@ -1,7 +1,9 @@
-"""One interface to all searchers: ask for points of the unit cube, tell their fitness, stop.
+"""The interface that all searchers share, and the loop that runs one of them.
 
-Fitness is to be made as large as possible. A searcher holds its own seeded generator and knows nothing of
-control; ``maximise`` drives one and records its convergence (Figs 6 and 8).
+A searcher looks for the point of the unit cube with the largest fitness. It works in generations: it proposes
+points (:meth:`Searcher.ask`), learns their fitness (:meth:`Searcher.update`), and says when the search is
+over (:meth:`Searcher.stop_reason`). A searcher has its own seeded random generator and knows no control
+engineering. :func:`maximise` runs the loop and records its convergence, which is Figs 6 and 8 of the paper.
 """
 
 from __future__ import annotations
@@ -15,39 +17,42 @@ import numpy as np
 from design.mathematics.polynomials import Array
 
 OUT_OF_BUDGET = "evaluations used"
-"""Why a search stops whose evaluations, not its generations, are limited."""
+"""Stop reason of a search that has used up its evaluations before it converged."""
 
 Objective = Callable[[Array, Array], Array]
-"""Fitness (n,) of points (n, p) of the unit cube, given what each must reach to be of any use (n,): where it
-does not, any value below that will do."""
+"""A function of points (n, p) of the unit cube and of their cutoffs (n,) that returns their fitness (n,).
+
+Where the fitness of a point is below its cutoff, the objective may return any value below the cutoff. This
+saves the exact evaluation of candidates that the searcher will discard anyway.
+"""
 
 
 class Searcher(Protocol):
-    """A population searcher; every random choice comes from its seed."""
+    """A search method that works on a population of points; all its random numbers come from its seed."""
 
     name: str
     seed: int
 
     def ask(self) -> Array:
-        """The next points (n, p) of the unit cube to be judged."""
+        """Return the next points (n, p) of the unit cube to be evaluated."""
         ...
 
-    def worth(self) -> Array:
-        """The fitness (n,) below which the points last asked for are discarded, whatever theirs is."""
+    def cutoff(self) -> Array:
+        """Return the fitness (n,) below which the searcher discards each point that it last asked for."""
         ...
 
-    def tell(self, fitness: Array) -> None:
-        """Fitness (n,) of the points last asked for."""
+    def update(self, fitness: Array) -> None:
+        """Take in the fitness (n,) of the points last asked for."""
         ...
 
-    def stop(self) -> str | None:
-        """Why the search is over, or None."""
+    def stop_reason(self) -> str | None:
+        """Return why the search is over, or None while it goes on."""
         ...
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a search stands after a generation."""
+    """The state of a search after one generation; ``evaluations`` counts from the beginning."""
 
     generation: int
     evaluations: int
@@ -56,39 +61,39 @@ class Progress:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The best point (p,), its fitness, and how the search came there."""
+    """The best point (p,) of the unit cube that a search found, its fitness, and how the search went."""
 
     best: Array
     best_fitness: float
     convergence: tuple[Progress, ...]
-    """One entry a generation, with the best fitness so far."""
+    """State of the search after each generation, with the best fitness so far."""
     searcher: str
     seed: int
-    stopped: str
+    stop_reason: str
 
     @property
     def evaluations(self) -> int:
-        """Points judged."""
+        """Number of points that were evaluated."""
         return self.convergence[-1].evaluations
 
     @property
     def was_still_gaining(self) -> bool:
-        """Whether the last fifth of its evaluations, the budget being used up, gained over 0.05 %."""
+        """True if the budget ended the search while its last fifth still gained over 0.05 %."""
         before = [p.best_fitness for p in self.convergence if p.evaluations <= 0.8 * self.evaluations]
         gained = bool(before) and self.best_fitness - before[-1] > 5e-4 * abs(self.best_fitness)
-        return gained and self.stopped == OUT_OF_BUDGET
+        return gained and self.stop_reason == OUT_OF_BUDGET
 
 
 def maximise(
     objective: Objective, searcher: Searcher, on_progress: Callable[[Progress], None] | None = None
 ) -> SearchResult:
-    """Drive ``searcher`` until it stops; ``on_progress`` is called after every generation."""
+    """Run ``searcher`` on ``objective`` until it stops; call ``on_progress`` after every generation."""
     best, best_fitness, evaluations = np.zeros(0), -np.inf, 0
     convergence: list[Progress] = []
-    while (stopped := searcher.stop()) is None:
+    while (stop_reason := searcher.stop_reason()) is None:
         points = searcher.ask()
-        fitness = objective(points, searcher.worth())
-        searcher.tell(fitness)
+        fitness = objective(points, searcher.cutoff())
+        searcher.update(fitness)
         evaluations += len(points)
         chosen = int(np.argmax(fitness))
         if fitness[chosen] > best_fitness:
@@ -96,4 +101,4 @@ def maximise(
         convergence.append(Progress(len(convergence) + 1, evaluations, best_fitness))
         if on_progress is not None:
             on_progress(convergence[-1])
-    return SearchResult(best, best_fitness, tuple(convergence), searcher.name, searcher.seed, stopped)
+    return SearchResult(best, best_fitness, tuple(convergence), searcher.name, searcher.seed, stop_reason)

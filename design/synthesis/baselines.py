@@ -15,8 +15,9 @@ import numpy as np
 
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
-from design.models.controller import Controller, of_error
-from design.models.plant import Sampling, TransferFunction
+from design.models.controller import Controller, one_degree_of_freedom
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.central_controller import central_controllers
 from design.robustness.loop_shaping import shaped
 
@@ -88,7 +89,7 @@ def tyreus_luyben(cycle: UltimateCycle) -> PidGains:
 def loop_shaping_controller(G: TransferFunction, W: TransferFunction, factor: float = 1.1) -> Controller:
     """K = W1 K∞ of eq. (7), K∞ central for γ = factor γ_opt. Polynomials (1, n + 1)."""
     K_inf, _ = central_controllers(shaped(G, W), factor)
-    return of_error(poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den))
+    return one_degree_of_freedom(poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den))
 
 
 def _pid(kp: float, ti: float, td: float) -> PidGains:

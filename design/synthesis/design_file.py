@@ -7,13 +7,14 @@ the paper's (Sec. IV), designed in the sampled loop of the shipped rig. No desig
 from __future__ import annotations
 
 from importlib import resources
+from string import Template
 from typing import Annotated, Literal
 
 import msgspec
 
-from design.closed_loop.specifications import Specification
-from design.models.plant import Sampling
-from design.search.boxes import Parameter, with_boxes
+from design.closed_loop.specifications import PAPER, Specification
+from design.models.sampling import Sampling
+from design.search.bounds import Parameter, with_bounds
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.genetic_algorithm import GeneticAlgorithm
 from design.search.searcher import Searcher
@@ -85,13 +86,11 @@ class Specifications(Document, frozen=True):
         return tuple(asked)
 
 
-PAPER_SPECIFICATIONS = Specifications(
-    overshoot=0.05,
-    settling_s=1.2,
-    error=0.001,
-    bandwidth_rad_s=4.0,
-    gain_db=GainBelow(limit=20.0, up_to_rad_s=0.4),
+PAPER_SPECIFICATIONS = msgspec.convert(
+    {s.quantity: {"limit": s.limit, "up_to_rad_s": s.at} if s.kind.takes else s.limit for s in PAPER},
+    Specifications,
 )
+"""The paper's specifications as a table of a design file; their limits stand in ``specifications.PAPER``."""
 
 
 class Box(Document, frozen=True):
@@ -179,7 +178,7 @@ class DesignFile(Document, frozen=True):
             structure: Structure = IntegralWeight(self.weight.b or 0.001)
         else:
             structure = STRUCTURES[self.weight.structure]
-        return with_boxes(structure, _parameters(self.weight.box))
+        return with_bounds(structure, _parameters(self.weight.box))
 
     def controller_structure(self) -> Structure:
         """K's structure with its boxes. Raises DesignError or DocumentError."""
@@ -199,7 +198,7 @@ class DesignFile(Document, frozen=True):
                 f"controller structure {name!r}: not one of {', '.join([*STRUCTURES, 'free'])}; "
                 'a class of your own is named "file.py:Class" or "module:Class"'
             )
-        return with_boxes(structure, _parameters(self.controller.box))
+        return with_bounds(structure, _parameters(self.controller.box))
 
     def weight_searcher(self, dimensions: int) -> Searcher:
         """For eqs. (8), (9); the genetic algorithm with the paper's 100 chromosomes."""
@@ -242,8 +241,14 @@ def read_design(text: str, source: str) -> DesignFile:
 
 
 def example_text() -> str:
-    """The commented example, which ``hil design --init`` writes; every value in it is the default."""
-    return resources.files("design.synthesis").joinpath("design.toml").read_text("utf-8")
+    """Return the commented example, which ``hil design --init`` writes; every value in it is the default.
+
+    The limits of the paper are filled in from ``specifications.PAPER``.
+    """
+    text = resources.files("design.synthesis").joinpath("design.toml").read_text("utf-8")
+    limits = {s.quantity: s.limit for s in PAPER}
+    (gain,) = (s for s in PAPER if s.quantity == "gain_db")
+    return Template(text).substitute(limits, gain_up_to_rad_s=gain.at)
 
 
 def _parameters(boxes: dict[str, Box]) -> dict[str, Parameter]:

@@ -2,8 +2,7 @@
 
 Over one plant, or the worst of several with one weight; continuous, or in the sampled loop with hold and
 delay, the controller by Tustin's rule: what is judged is what runs. Fitness is ε where the loop is stable
-and meets its specifications (if any); else it is below 0 and graded, so that a stable loop of small margin
-never ranks below an unstable one (as it does in eq. (14), with its 0.01).
+and meets its specifications (if any); otherwise it is below 0 (see ``design.closed_loop.assessment``).
 
 Parameters that no margin sees (setpoint weights) are chosen last, the feedback as it is: those with which
 specifications hold, and among them those of least ∫ t |e| dt after a setpoint step (ITAE).
@@ -17,23 +16,19 @@ from functools import partial
 
 import numpy as np
 
-from design.closed_loop.loops import Loops
-from design.closed_loop.specifications import (
-    Reading,
-    Specification,
-    compromise,
-    enough_violation,
-    readings,
-    violations,
-)
+from design.closed_loop.assessment import Assessment, assess, worst
+from design.closed_loop.loops import ClosedLoops
+from design.closed_loop.specifications import Reading, Specification, compromise, readings, violations
 from design.errors import InfeasibleError, NotStabilisedError
-from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array, Indices
-from design.models.plant import Plant, Sampling, TransferFunction, as_models, limits_of
+from design.models.plant import Plant
+from design.models.plant_set import limit_notes, loop_models
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness import margins
 from design.robustness.central_controller import optimal_margins
 from design.robustness.loop_shaping import shaped
-from design.search.boxes import Box
+from design.search.bounds import SearchBounds
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.searcher import Progress, Searcher, SearchResult, maximise
 from design.synthesis.structures import Structure, setpoint_parameters
@@ -55,7 +50,7 @@ class Synthesis:
     """The best that any controller could reach with this weight; over several plants, the smallest."""
     weight: TransferFunction
     readings: tuple[Reading, ...]
-    at_walls: tuple[str, ...]
+    at_bounds: tuple[str, ...]
     """Parameters that ended at an end of their box: a wider one may allow more."""
     setpoint_parameters: tuple[str, ...]
     """Those that no margin sees."""
@@ -86,35 +81,31 @@ def synthesise(
     ``searcher`` makes one for so many parameters. Raises NotStabilisedError, or InfeasibleError if
     specifications fail.
     """
-    models = as_models(plants, sampling)
-    box = Box(structure.parameters)
+    models = loop_models(plants, sampling)
+    box = SearchBounds(structure.parameters)
     setpoint = setpoint_parameters(structure)
     is_setpoint = np.array([name in setpoint for name in box.names])
     # Without specifications to hold, what no margin sees need not be searched with the rest.
     searched = np.flatnonzero(~is_setpoint) if not specifications else np.arange(len(box))
 
-    def loops(G: TransferFunction, points: Array) -> Loops:
+    def loops(G: TransferFunction, points: Array) -> ClosedLoops:
         K = structure.controller(box.decode(points))
-        return Loops(G, K, W=weight, sampling=sampling)
+        return ClosedLoops(G, K, W=weight, sampling=sampling)
 
     def whole(points: Array) -> Array:
         return _placed(np.full(len(box), 0.5), searched, points)
 
-    def objective(some: Array, worth: Array) -> Array:
-        points = whole(some)
+    def assessments(points: Array, cutoff: Array | None = None) -> list[Assessment]:
         K = structure.controller(box.decode(points))
-        fitness = np.full(len(points), np.inf)
+        found = []
         for G in models:
-            margin = margins.stability_margin(G, K.feedback, weight, worth)
-            unstable = margin == 0.0
-            if unstable.any():
-                closed = np.atleast_2d(margins.characteristic(G, K.feedback))[unstable]
-                margin[unstable] = -1e4 - np.minimum(poly.spectral_abscissa(closed), 1e8)
-            if specifications:
-                failing = violations(specifications, loops(G, points), enough_violation(worth, margin))
-                margin = np.where(unstable | (failing <= 0.0), margin, -failing)
-            fitness = np.minimum(fitness, margin)
-        return fitness
+            batch = ClosedLoops(G, K, W=weight, sampling=sampling)
+            margin = margins.stability_margin(G, K.feedback, weight, cutoff)
+            found.append(assess(batch, margin, margin > 0.0, specifications, cutoff))
+        return found
+
+    def objective(points: Array, cutoff: Array) -> Array:
+        return worst(assessments(whole(points), cutoff)).fitness
 
     make = searcher or partial(DifferentialEvolution, seed=seed, evaluations=evaluations)
     search = maximise(objective, make(len(searched)), on_progress)
@@ -122,31 +113,31 @@ def synthesise(
     if setpoint and search.best_fitness > 0.0:
         which, feedback = np.flatnonzero(is_setpoint), best[0]
 
-        def setpoint_objective(points: Array, _worth: Array) -> Array:
+        def setpoint_objective(points: Array, _cutoff: Array) -> Array:
             wanted, there = (*specifications, *aims), _placed(feedback, which, points)
             batches = [loops(G, there) for G in models]
-            worst = [1e6 * violations(wanted, batch) + np.minimum(batch.itae, 1e5) for batch in batches]
-            return np.asarray(-np.max(worst, axis=0))
+            costs = [1e6 * violations(wanted, batch) + np.minimum(batch.itae, 1e5) for batch in batches]
+            return np.asarray(-np.max(costs, axis=0))
 
         last = DifferentialEvolution(len(which), seed=seed, evaluations=_SETPOINT_EVALUATIONS * len(which))
         best = _placed(feedback, which, maximise(setpoint_objective, last).best[None, :])
     values = box.decode(best)[0]
     parameters = dict(zip(box.names, map(float, values), strict=True))
-    at_walls = tuple(name for name in box.at_walls(best[0]) if name not in setpoint)
-    if search.best_fitness <= -1e4:
+    at_bounds = tuple(name for name in box.at_bounds(best[0]) if name not in setpoint)
+    found = assessments(best)
+    if not all(one.stable[0] for one in found):
         raise NotStabilisedError(
-            f"no {type(structure).__name__} in its box stabilises the plant: the best of "
+            f"no {type(structure).__name__} within the search bounds stabilises the plant: the best of "
             f"{search.evaluations} candidates still has a closed-loop pole at Re s = "
-            f"{-search.best_fitness - 1e4:.3g} rad/s; widen the boxes, or choose another structure"
-            + limits_of(plants, sampling)
+            f"{worst(found).growth[0]:.3g} rad/s; widen the bounds, or choose another structure"
+            + limit_notes(plants, sampling)
         )
-    batches = [loops(G, best) for G in models]
-    eps = [float(batch.margin[0]) for batch in batches]
-    worst = max(batches, key=lambda batch: float(violations(specifications, batch)[0]))
-    read = readings(specifications, worst)
+    eps = [float(one.margin[0]) for one in found]
+    most_violated = int(np.argmax([one.violation[0] for one in found]))
+    read = readings(specifications, loops(models[most_violated], best))
     if search.best_fitness < 0.0:
         raise InfeasibleError(
-            compromise("controller", parameters, at_walls, read) + limits_of(plants, sampling)
+            compromise("controller", parameters, at_bounds, read) + limit_notes(plants, sampling)
         )
     return Synthesis(
         structure=structure,
@@ -156,7 +147,7 @@ def synthesise(
         eps_opt=min(float(optimal_margins(shaped(G, weight))[0]) for G in models),
         weight=weight,
         readings=read,
-        at_walls=at_walls,
+        at_bounds=at_bounds,
         setpoint_parameters=setpoint,
         sampling=sampling,
         search=search,

@@ -12,7 +12,7 @@ from typing import get_args
 import numpy as np
 
 from design.mathematics.polynomials import Array
-from design.search.boxes import Box
+from design.search.bounds import SearchBounds
 from design.synthesis.structures import Structure
 from hil.core.controller_file import Law
 from hil.core.errors import DocumentError
@@ -59,7 +59,7 @@ def _module(name: str) -> ModuleType:
 
 
 def _try(structure: Structure, where: str, period_s: float) -> None:
-    box, count = Box(tuple(structure.parameters)), 5
+    box, count = SearchBounds(tuple(structure.parameters)), 5
     values = box.decode(np.random.default_rng(0).random((count, len(box))))
     try:
         parts = structure.controller(values)
@@ -82,7 +82,7 @@ def _try(structure: Structure, where: str, period_s: float) -> None:
         )
 
 
-def _at(box: Box, values: Array, part: Array) -> str:
+def _at(box: SearchBounds, values: Array, part: Array) -> str:
     row = int(np.argmin(np.isfinite(part).all(axis=1))) if len(part) > 1 else 0
     return ", ".join(f"{name} {value:.4g}" for name, value in zip(box.names, values[row], strict=True))
 

@@ -19,7 +19,7 @@ from design.models.plant import Plant
 from design.robustness import margins
 from design.robustness.loop_shaping import shaped
 from design.robustness.nu_gap import nu_gap
-from design.search.boxes import Parameter, with_boxes
+from design.search.bounds import Parameter, with_bounds
 from design.search.searcher import Progress
 from design.synthesis import baselines
 from design.synthesis.design_file import DesignFile
@@ -109,7 +109,7 @@ def design_controller(
             weight.weight,
             structure,
             specifications=specifications if design_file.controller.must_meet_specifications else (),
-            aims=[s for s in specifications if not s.kind.is_of_desired],
+            aims=[s for s in specifications if not s.kind.reads_open_loop_shape],
             sampling=sampling,
             searcher=design_file.controller_searcher,
             on_progress=stage_progress(
@@ -191,7 +191,7 @@ def _compared(
             for name, box in design_file.controller.box.items()
             if name in ("kp", "ki")
         }
-        structure = with_boxes(STRUCTURES["pi"], boxes)
+        structure = with_bounds(STRUCTURES["pi"], boxes)
         try:
             best = synthesise(
                 against,
@@ -243,7 +243,7 @@ def _guarantee(problem: Problem, designed: Candidate, other: Plant) -> Guarantee
 
 def _if_reversed(plant: Plant) -> str:
     """A hint where the plant moves against its input."""
-    if plant.sense > 0.0:
+    if plant.gain_sign > 0.0:
         return ""
     return (
         "\nNote: the plant's gain is negative: reverse the valve or the potentiometer in the rig file and in "

@@ -16,10 +16,11 @@ import numpy as np
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
-from design.models.controller import Controller, of_error
-from design.models.plant import TransferFunction, to_z
-from design.models.realisation import observer_form, sampled
-from design.search.boxes import Box, Parameter
+from design.models.controller import Controller, one_degree_of_freedom
+from design.models.realisation import observer_form, tustin
+from design.models.sampling import to_z
+from design.models.transfer_function import TransferFunction
+from design.search.bounds import Parameter, SearchBounds
 from hil.core.controller_file import Law, PidLaw, StateSpaceLaw, TransferFunctionLaw
 
 
@@ -46,7 +47,7 @@ def setpoint_parameters(structure: Structure) -> tuple[str, ...]:
 
     Found by trying, so that it is true of any structure.
     """
-    random, box = np.random.default_rng(0), Box(structure.parameters)
+    random, box = np.random.default_rng(0), SearchBounds(structure.parameters)
     points = random.random((8, len(box)))
     num, den, _ = structure.controller(box.decode(points))
     unseen = []
@@ -83,7 +84,7 @@ def tustin_law(controller: Controller, period_s: float) -> Law:
         feedback = to_z(TransferFunction(num, den), period_s)
         return TransferFunctionLaw(num=feedback.num[0].tolist(), den=feedback.den[0].tolist())
     inputs = (num,) if one_degree else (num_r, -num)
-    A, B, C, D = (matrix[0].tolist() for matrix in sampled(observer_form(den, *inputs), period_s))
+    A, B, C, D = (matrix[0].tolist() for matrix in tustin(observer_form(den, *inputs), period_s))
     return StateSpaceLaw(A=A, B=B, C=C, D=D, inputs="e" if one_degree else "r, y")
 
 
@@ -99,7 +100,7 @@ class Proportional(TustinLaw):
 
     def controller(self, values: Array) -> Controller:
         """See Structure."""
-        return of_error(values, np.ones_like(values))
+        return one_degree_of_freedom(values, np.ones_like(values))
 
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """See Structure."""
@@ -114,7 +115,7 @@ class ProportionalIntegral(TustinLaw):
 
     def controller(self, values: Array) -> Controller:
         """See Structure."""
-        return of_error(values, np.array([[1.0, 0.0]]))
+        return one_degree_of_freedom(values, np.array([[1.0, 0.0]]))
 
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """See Structure."""
@@ -131,7 +132,7 @@ class ProportionalDerivative(TustinLaw):
     def controller(self, values: Array) -> Controller:
         """See Structure."""
         kp, kd, tau_d = values.T
-        return of_error(_columns(kp * tau_d + kd, kp), _columns(tau_d, np.ones_like(kp)))
+        return one_degree_of_freedom(_columns(kp * tau_d + kd, kp), _columns(tau_d, np.ones_like(kp)))
 
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """See Structure."""
@@ -147,7 +148,7 @@ class ProportionalIntegralDerivative(TustinLaw):
 
     def controller(self, values: Array) -> Controller:
         """See Structure."""
-        return of_error(*_pid(*values.T))
+        return one_degree_of_freedom(*_pid(*values.T))
 
     def law(self, values: Sequence[float], period_s: float) -> Law:
         """See Structure."""
@@ -186,7 +187,7 @@ class LeadLag(TustinLaw):
     def controller(self, values: Array) -> Controller:
         """See Structure."""
         k, t1, t2 = values.T
-        return of_error(_columns(k * t1, k), _columns(t2, np.ones_like(k)))
+        return one_degree_of_freedom(_columns(k * t1, k), _columns(t2, np.ones_like(k)))
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ class ProportionalIntegralLead(TustinLaw):
         kp, ki, t1, t2 = values.T
         one = np.ones_like(kp)
         num = poly.multiply(_columns(kp, ki), _columns(t1, one))
-        return of_error(num, poly.multiply(_columns(t2, one), np.array([[1.0, 0.0]])))
+        return one_degree_of_freedom(num, poly.multiply(_columns(t2, one), np.array([[1.0, 0.0]])))
 
 
 @dataclass(frozen=True)
@@ -230,7 +231,7 @@ class FreeTransferFunction(TustinLaw):
         """See Structure."""
         m = self.num_order + 1
         den = np.concatenate([np.ones((len(values), 1)), values[:, m:]], axis=-1)
-        return of_error(values[:, :m], np.pad(den, ((0, 0), (0, self.integrators))))
+        return one_degree_of_freedom(values[:, :m], np.pad(den, ((0, 0), (0, self.integrators))))
 
 
 @dataclass(frozen=True)
@@ -243,7 +244,7 @@ class IntegralWeight(TustinLaw):
     def controller(self, values: Array) -> Controller:
         """See Structure."""
         kw, a = values.T
-        return of_error(_columns(kw, kw * a), np.array([[1.0, self.b]]))
+        return one_degree_of_freedom(_columns(kw, kw * a), np.array([[1.0, self.b]]))
 
 
 STRUCTURES: Mapping[str, Structure] = {

@@ -13,26 +13,27 @@ from functools import partial
 
 import numpy as np
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.assessment import Assessment, assess, worst
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import (
     PAPER,
-    UNSTABLE,
     Reading,
     Specification,
     compromise,
-    enough_violation,
     readings,
-    violations,
     wanted_crossover,
 )
 from design.errors import InfeasibleError, NotStabilisedError
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
-from design.models.controller import of_error
-from design.models.plant import Plant, Sampling, TransferFunction, as_models, limits_of
+from design.models.controller import one_degree_of_freedom
+from design.models.plant import Plant
+from design.models.plant_set import limit_notes, loop_models
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.central_controller import central_controllers
 from design.robustness.loop_shaping import shaped
-from design.search.boxes import Box
+from design.search.bounds import SearchBounds
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.searcher import Progress, Searcher, SearchResult, maximise
 from design.synthesis.structures import IntegralWeight, Structure
@@ -51,7 +52,7 @@ class WeightSelection:
     eps_opt: float
     gamma_factor: float
     readings: tuple[Reading, ...]
-    at_walls: tuple[str, ...]
+    at_bounds: tuple[str, ...]
     """Parameters that ended at an end of their box: a wider one may allow more."""
     sampling: Sampling | None
     search: SearchResult
@@ -79,48 +80,51 @@ def select_weight(
     ``searcher`` makes one for so many parameters.
     """
     structure = IntegralWeight() if structure is None else structure
-    models = as_models(plants, sampling)
-    box = Box(structure.parameters)
+    models = loop_models(plants, sampling)
+    box = SearchBounds(structure.parameters)
 
-    def loops(G: TransferFunction, W: TransferFunction) -> tuple[Loops, Array]:
+    def loops(G: TransferFunction, W: TransferFunction) -> tuple[ClosedLoops, Array]:
         Gs = shaped(G, W)
         K_inf, eps_opt = central_controllers(Gs, gamma_factor)
         num, den = poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den)
-        batch = Loops(G, of_error(num, den), W=W, sampling=sampling, desired=Gs)
+        batch = ClosedLoops(G, one_degree_of_freedom(num, den), W=W, sampling=sampling, desired=Gs)
         return batch, eps_opt
 
-    def objective(points: Array, worth: Array) -> Array:
+    def assessments(points: Array, cutoff: Array | None = None) -> list[Assessment]:
         W = structure.controller(box.decode(points)).feedback
-        fitness = np.full(len(points), np.inf)
+        found = []
         for G in models:
             batch, eps_opt = loops(G, W)
-            failing = violations(specifications, batch, enough_violation(worth, eps_opt))
-            fitness = np.minimum(fitness, np.where(failing > 0.0, -failing, eps_opt))
-        return fitness
+            found.append(assess(batch, eps_opt, batch.stable, specifications, cutoff))
+        return found
+
+    def objective(points: Array, cutoff: Array) -> Array:
+        return worst(assessments(points, cutoff)).fitness
 
     make = searcher or partial(DifferentialEvolution, seed=seed, evaluations=evaluations)
     search = maximise(objective, make(len(box)), on_progress)
     values = box.decode(search.best[None, :])
     W = structure.controller(values).feedback
-    found = [(batch, float(eps_opt[0])) for batch, eps_opt in (loops(G, W) for G in models)]
-    worst = max(found, key=lambda item: float(violations(specifications, item[0])[0]))
-    read = readings(specifications, worst[0])
+    found = assessments(search.best[None, :])
+    most_violated = int(np.argmax([one.violation[0] for one in found]))
+    read = readings(specifications, loops(models[most_violated], W)[0])
     parameters = dict(zip(box.names, map(float, values[0]), strict=True))
-    at_walls = box.at_walls(search.best)
+    at_bounds = box.at_bounds(search.best)
     if search.best_fitness < 0.0:
-        limits = limits_of(plants, sampling, wanted_crossover(specifications))
-        if search.best_fitness <= -UNSTABLE:
+        limits = limit_notes(plants, sampling, wanted_crossover(specifications))
+        if not all(one.stable[0] for one in found):
             raise NotStabilisedError(
-                f"no weight in its box leaves a loop that its own full-order controller stabilises{limits}"
+                "no weight within the search bounds leaves a loop that its own full-order controller "
+                f"stabilises{limits}"
             )
-        raise InfeasibleError(compromise("weight", parameters, at_walls, read) + limits)
+        raise InfeasibleError(compromise("weight", parameters, at_bounds, read) + limits)
     return WeightSelection(
         parameters=parameters,
         weight=TransferFunction(*(np.ravel(p) for p in W)),
-        eps_opt=min(eps for _, eps in found),
+        eps_opt=float(min(one.margin[0] for one in found)),
         gamma_factor=gamma_factor,
         readings=read,
-        at_walls=at_walls,
+        at_bounds=at_bounds,
         sampling=sampling,
         search=search,
     )

@@ -8,17 +8,18 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from support.random_systems import System, patient, systems
 
-from design.models.plant import Sampling, TransferFunction, delayed, zero_order_hold
 from design.models.realisation import realise, transfer_function
+from design.models.sampling import zero_order_hold
+from design.models.transfer_function import TransferFunction
 from design.robustness import loop_shaping
 from design.robustness.central_controller import central_controllers, optimal_margins
 from design.robustness.margins import margin_and_frequency, stability_margin
 
-WELL_BEHAVED = {"least_damping": 0.05}
+WELL_BEHAVED = {"min_damping": 0.05}
 
 
 def distinct(G: System) -> bool:
-    """Whether no zero cancels a pole, so that the realisation is minimal."""
+    """Return True if no zero cancels a pole, so that the realisation is minimal."""
     H = G.polynomials
     zeros, poles = np.roots(H.num), np.roots(H.den)
     if not len(zeros):
@@ -28,7 +29,7 @@ def distinct(G: System) -> bool:
 
 @settings(patient, max_examples=65)
 @given(systems(**WELL_BEHAVED), st.floats(1.001, 2.0))
-def test_synthesis_is_never_worse_than_the_gamma_chosen(G: System, factor: float) -> None:
+def test_the_margin_is_never_below_that_of_the_chosen_gamma(G: System, factor: float) -> None:
     assume(distinct(G))
     Gs = G.polynomials
     K, optimum = central_controllers(Gs, factor)
@@ -38,7 +39,7 @@ def test_synthesis_is_never_worse_than_the_gamma_chosen(G: System, factor: float
 
 
 @settings(patient, max_examples=65)
-@given(systems(), systems(least_order=0, most_order=4))
+@given(systems(), systems(min_order=0, max_order=4))
 def test_no_controller_has_more_than_the_optimal_margin(G: System, K: System) -> None:
     assume(distinct(G))
     margin = stability_margin(G.polynomials, K.polynomials)[0]
@@ -55,8 +56,8 @@ def test_the_optimal_margin_is_approached(G: System) -> None:
 
 
 @settings(patient, max_examples=45)
-@given(systems(most_order=5, least_damping=0.1))
-def test_the_batched_form_is_the_riccati_form(G: System) -> None:
+@given(systems(max_order=5, min_damping=0.1))
+def test_interpolation_agrees_with_the_riccati_equations(G: System) -> None:
     assume(distinct(G))
     Gs = G.polynomials
     K, optimum = central_controllers(Gs)
@@ -74,7 +75,7 @@ def test_the_batched_form_is_the_riccati_form(G: System) -> None:
 
 
 @settings(patient, max_examples=25)
-@given(systems(most_order=6, least_damping=0.05), st.floats(0.05, 20.0))
+@given(systems(max_order=6, min_damping=0.05), st.floats(0.05, 20.0))
 def test_coprime_factors_are_normalised_stable_and_make_the_plant(G: System, omega: float) -> None:
     assume(distinct(G))
     factors = loop_shaping.normalised_left_coprime_factors(realise(G.polynomials))
@@ -86,19 +87,18 @@ def test_coprime_factors_are_normalised_stable_and_make_the_plant(G: System, ome
 
 
 @settings(patient, max_examples=25)
-@given(systems(most_order=5, least_damping=0.05), st.integers(1, 3))
-def test_sampled_synthesis_keeps_its_promise_in_z(G: System, delay_samples: int) -> None:
-    """A delay makes the plant's poles mirror its zeros; the promise is kept all the same."""
+@given(systems(max_order=5, min_damping=0.05), st.integers(1, 3))
+def test_sampled_synthesis_reaches_its_margin(G: System, delay_samples: int) -> None:
+    """A delay puts poles of the plant at the mirror images of its zeros."""
     assume(distinct(G))
-    sampling = Sampling(0.01, delay_samples)
-    plane = delayed(zero_order_hold(G.polynomials, sampling.period_s), sampling)
+    plane = zero_order_hold(G.polynomials, 0.01, delay_samples * 0.01)
     K, optimum = central_controllers(plane)
     assume(optimum[0] > 1e-3)
     assert stability_margin(plane, K)[0] >= optimum[0] / 1.1 * (1.0 - 1e-6)
 
 
 @settings(patient, max_examples=25)
-@given(systems(most_order=5, least_damping=0.05), systems(least_order=0, most_order=2))
+@given(systems(max_order=5, min_damping=0.05), systems(min_order=0, max_order=2))
 def test_sampled_margins_become_the_continuous_ones(G: System, K: System) -> None:
     margin, omega = (value[0] for value in margin_and_frequency(G.polynomials, K.polynomials))
     assume(margin > 0.01 and (omega < 100.0 or not np.isfinite(omega)))

@@ -1,4 +1,4 @@
-"""The stability margin against slycot's norm, over random stable and unstable loops, lightly damped too."""
+"""The stability margin of random loops, lightly damped and unstable ones too, against slycot's norm."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from support.random_systems import (
 )
 
 from design.mathematics import polynomials as poly
-from design.models.plant import Sampling, TransferFunction, delayed, zero_order_hold
+from design.models.sampling import Sampling, zero_order_hold
+from design.models.transfer_function import TransferFunction
 from design.robustness.margins import (
     characteristic,
     disturbance_peak,
@@ -31,31 +32,31 @@ CLEAR_OF_THE_AXIS = 1e-6
 
 
 def clear_of_the_axis(G: System, K: System) -> bool:
-    """Whether stability is not a matter of rounding."""
+    """Return True unless stability is a matter of rounding."""
     closed = np.atleast_2d(characteristic(G.polynomials, K.polynomials))
     roots = poly.roots(closed)[0]
     return bool(np.all(np.abs(roots.real) > CLEAR_OF_THE_AXIS * np.maximum(np.abs(roots), 1.0)))
 
 
 @settings(patient, max_examples=120)
-@given(systems(), systems(least_order=0, most_order=4))
-def test_margin_is_slycots_and_attained(G: System, K: System) -> None:
+@given(systems(), systems(min_order=0, max_order=4))
+def test_the_margin_agrees_with_slycot_and_is_attained(G: System, K: System) -> None:
     assume(abs(1.0 + G.state_space[3] * K.state_space[3]) > 1e-3)
     assume(clear_of_the_axis(G, K))
     margin, omega = (value[0] for value in margin_and_frequency(G.polynomials, K.polynomials))
     reference = slycot_margin(G, K)
     assert (margin == 0.0) == (reference == 0.0)
     if margin > 0.0:
-        # Ours is a value the loop really takes; a norm that slycot puts higher would be a peak we missed.
+        # The loop really takes this value; a larger norm by slycot would mean that a peak was missed.
         attained = margin_of_sections(G, K, omega)
         assert margin == pytest.approx(attained, rel=1e-8)
-        # slycot is off by some 1e-8 now and then, and by what cancellation costs its state space.
+        # slycot's error is sometimes 1e-8, and larger where its state space loses digits by cancellation.
         blur = abs(margin_at(G, K, omega) / attained - 1.0)
         assert margin <= reference * (1.0 + 5e-8 + 10.0 * blur)
 
 
 @settings(patient, max_examples=40)
-@given(systems(), systems(least_order=0, most_order=3), st.floats(0.5, 50.0))
+@given(systems(), systems(min_order=0, max_order=3), st.floats(0.5, 50.0))
 def test_no_frequency_is_worse_than_the_margin(G: System, K: System, centre: float) -> None:
     margin = stability_margin(G.polynomials, K.polynomials)[0]
     assume(margin > 0.0 and clear_of_the_axis(G, K))
@@ -68,7 +69,7 @@ def test_no_frequency_is_worse_than_the_margin(G: System, K: System, centre: flo
 
 
 @settings(patient, max_examples=50)
-@given(systems(most_order=4), st.lists(systems(least_order=2, most_order=2), min_size=2, max_size=6))
+@given(systems(max_order=4), st.lists(systems(min_order=2, max_order=2), min_size=2, max_size=6))
 def test_a_batch_is_its_candidates(G: System, controllers: list[System]) -> None:
     width = 3
     num = np.stack([poly.add(K.polynomials.num, np.zeros(width)) for K in controllers])
@@ -80,23 +81,30 @@ def test_a_batch_is_its_candidates(G: System, controllers: list[System]) -> None
 
 @settings(patient, max_examples=40)
 @given(
-    systems(most_order=4, least_damping=0.02),
-    systems(least_order=0, most_order=2),
+    systems(max_order=4, min_damping=0.02),
+    systems(min_order=0, max_order=2),
     st.floats(0.002, 0.05),
-    st.integers(0, 3),
+    st.integers(0, 24),
 )
-def test_sampled_margin_is_that_of_scipys_zero_order_hold_on_the_unit_circle(
-    G: System, K: System, period_s: float, delay_samples: int
+def test_the_margin_of_a_sampled_loop_is_that_on_the_unit_circle(
+    G: System, K: System, period_s: float, eighths: int
 ) -> None:
-    sampling = Sampling(period_s, delay_samples)
-    plane = delayed(zero_order_hold(G.polynomials, period_s), sampling)
+    """The delay is a multiple of an eighth of the period; the reference is scipy's hold at that rate."""
+    sampling = Sampling(period_s)
+    plane = zero_order_hold(G.polynomials, period_s, eighths / 8.0 * period_s)
     margin, omega = (value[0] for value in margin_and_frequency(plane, K.polynomials))
     assume(margin > 0.0)
-    A, B, C, D, _ = scipy.signal.cont2discrete(G.state_space, period_s)
+    A, B, C, D, _ = scipy.signal.cont2discrete(G.state_space, period_s / 8.0)
+    whole, fraction = divmod(eighths, 8)
+    over_period = np.linalg.matrix_power(A, 8)
+    inputs = [np.linalg.matrix_power(A, 7 - i) @ B for i in range(8)]
+    # u[k - 1] acts in the eighths before the delay's fraction has passed, and u[k] acts afterwards.
+    of_previous, of_present = (sum(part, np.zeros_like(B)) for part in (inputs[:fraction], inputs[fraction:]))
 
     def distance(true_omega: float) -> float:
         z = np.exp(1j * true_omega * period_s)
-        gain = (C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D)[0, 0] / z**delay_samples
+        state = np.linalg.solve(z * np.eye(len(A)) - over_period, of_previous / z + of_present)
+        gain = (C @ state + D / (z if fraction else 1.0))[0, 0] / z**whole
         control = K.at(2.0 / period_s * (z - 1.0) / (z + 1.0))
         size = np.sqrt((1.0 + abs(gain) ** 2) * (1.0 + abs(control) ** 2))
         return float(abs(1.0 + gain * control) / size)
@@ -109,7 +117,7 @@ def test_sampled_margin_is_that_of_scipys_zero_order_hold_on_the_unit_circle(
 
 
 @settings(patient, max_examples=80)
-@given(systems(most_order=5), systems(least_order=0, most_order=2))
+@given(systems(max_order=5), systems(min_order=0, max_order=2))
 def test_gain_and_phase_margins_bring_the_loop_to_the_axis(G: System, K: System) -> None:
     L = TransferFunction(
         np.polymul(G.polynomials.num, K.polynomials.num), np.polymul(G.polynomials.den, K.polynomials.den)
@@ -128,7 +136,7 @@ def test_gain_and_phase_margins_bring_the_loop_to_the_axis(G: System, K: System)
 
 
 def _nearest_to_critical(L: TransferFunction, factor: float) -> complex:
-    """The value of factor L, among where it is real on the axis, that is nearest to -1."""
+    """Return the real value of factor L on the imaginary axis that is nearest to -1."""
     odd = np.polymul(L.num, _mirrored(L.den))
     parity = np.arange(len(odd))[::-1] % 2
     roots = np.roots(np.where(parity == 1, odd, 0.0))
@@ -140,7 +148,7 @@ def _nearest_to_critical(L: TransferFunction, factor: float) -> complex:
 
 
 def _distance_after_turning(L: TransferFunction, angle: float) -> float:
-    """How far L, turned by ± angle, stays from -1 over the frequencies where |L| = 1."""
+    """Return the distance of L, turned by the angle in either direction, from -1 where |L| = 1."""
     excess = np.polysub(np.polymul(L.num, _mirrored(L.num)), np.polymul(L.den, _mirrored(L.den)))
     roots = np.roots(excess)
     omega = np.abs(roots[np.abs(roots.real) <= 1e-5 * np.abs(roots)].imag)
@@ -154,8 +162,8 @@ def _mirrored(p: np.ndarray) -> np.ndarray:
 
 
 @settings(patient, max_examples=50)
-@given(systems(most_order=5), systems(least_order=0, most_order=2))
-def test_disturbance_peak_is_an_upper_bound_that_is_touched(G: System, K: System) -> None:
+@given(systems(max_order=5), systems(min_order=0, max_order=2))
+def test_the_disturbance_peak_is_a_tight_upper_bound(G: System, K: System) -> None:
     largest = disturbance_peak(G.polynomials, K.polynomials)[0]
     assume(np.isfinite(largest) and clear_of_the_axis(G, K))
     omega = np.geomspace(1e-8, 1e8, 40001)

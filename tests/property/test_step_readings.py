@@ -1,4 +1,4 @@
-"""Overshoot, settling and rise of any stable loop, slow or ringing, against its exponentials alone."""
+"""Overshoot, settling and rise time of random stable loops, against the sum of their exponentials."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def responses(draw: st.DrawFn) -> Modes:
     assume(abs(sum(residue.real for _, residue in modes)) > 0.05)
     p, r = both(modes)
     apart = np.abs(p[:, None] - p[None, :]) + np.eye(len(p)) * np.abs(p)
-    # Poles that nearly coincide have enormous residues: the given response would be rounding.
+    # Poles that nearly coincide have enormous residues, and the given response would be rounding.
     assume((apart > 0.02 * np.abs(p)).all() and np.abs(r).max() < 20.0)
     return modes
 
 
 @settings(patient, max_examples=60)
 @given(responses())
-def test_continuous(modes: Modes) -> None:
+def test_readings_of_continuous_loops(modes: Modes) -> None:
     loops, true = continuous_loop(modes), readings(modes)
     assume(loops.stable[0] and not true.knife_edge)
     sizes = float(np.abs(both(modes)[1]).sum())
@@ -52,8 +52,8 @@ def test_continuous(modes: Modes) -> None:
 
 @settings(patient, max_examples=60)
 @given(responses())
-def test_sampled(modes: Modes) -> None:
-    """Between its samples nothing is read: times to a sample, peaks to what a mode turns in one."""
+def test_readings_of_sampled_loops(modes: Modes) -> None:
+    """Only samples are read, so times are within a sample, and peaks within what a mode turns in one."""
     loops, true = sampled_loop(modes, PERIOD_S), readings(modes, PERIOD_S)
     p, r = both(modes)
     between = float((np.abs(r) * np.minimum(np.abs(p * PERIOD_S) ** 2 / 8.0, 1.0)).sum())

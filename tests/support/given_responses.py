@@ -1,7 +1,7 @@
-"""Loops made to have a given step response, and what that response reads, from its exponentials alone.
+"""Loops that have a given step response y(t) = 1 + Σ r_i exp(p_i t), and the readings of that response.
 
-y(t) = 1 + Σ r_i exp(p_i t): each point of it is computed by itself, on a grid that resolves every mode while
-it lasts. A second opinion that shares neither states nor blocks with the code under test.
+The readings come from the exponentials, point by point, on a grid that resolves every mode while it lasts. So
+the reference shares neither states nor blocks with the code under test.
 """
 
 from __future__ import annotations
@@ -11,29 +11,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from design.closed_loop.loops import Loops
-from design.models.controller import of_error
-from design.models.plant import Sampling, TransferFunction
+from design.closed_loop.loops import ClosedLoops
+from design.models.controller import one_degree_of_freedom
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 
-ONE = of_error(np.array([[1.0]]), np.array([[1.0]]))
+ONE = one_degree_of_freedom(np.array([[1.0]]), np.array([[1.0]]))
 Values = NDArray[np.float64]
 Modes = list[tuple[complex, complex]]
-"""Pole and residue; of a pair of complex ones, that above the axis."""
+"""Poles with their residues; a complex pair is given by its pole above the real axis."""
 
 
 @dataclass(frozen=True)
 class Given:
-    """The readings of a response."""
+    """The readings of a given response."""
 
     overshoot: float
     settling_s: float
     rise_s: float
     knife_edge: bool
-    """Whether a peak comes so near to the band's edge, or to 90 %, that rounding decides."""
+    """True if a peak is so close to the edge of the band, or to a rise level, that rounding decides."""
 
 
 def both(modes: Modes) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """All poles, and residues that add up to -1: y begins at 0."""
+    """Return all poles, and residues that add up to -1, so that y begins at 0."""
     poles, residues = [], []
     for pole, residue in modes:
         poles += [pole] if pole.imag == 0.0 else [pole, np.conj(pole)]
@@ -42,14 +43,14 @@ def both(modes: Modes) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     return np.array(poles, dtype=np.complex128), -r / r.sum().real
 
 
-def continuous_loop(modes: Modes) -> Loops:
-    """Around K = 1."""
+def continuous_loop(modes: Modes) -> ClosedLoops:
+    """Return the loop with K = 1 that has this step response."""
     p, r = both(modes)
     return _around_one(p, r * p, None)
 
 
-def sampled_loop(modes: Modes, period_s: float) -> Loops:
-    """The same response at its samples."""
+def sampled_loop(modes: Modes, period_s: float) -> ClosedLoops:
+    """Return the sampled loop with K = 1 whose samples are those of this step response."""
     p, r = both(modes)
     z = np.exp(p * period_s)
     # 1 + Σ r (z - 1)/(z - z_i), and z = (1 + hs)/(1 - hs): 1 + Σ 2 r/(1 + z_i) s/(s - s_i).
@@ -58,7 +59,7 @@ def sampled_loop(modes: Modes, period_s: float) -> Loops:
 
 
 def readings(modes: Modes, period_s: float | None = None) -> Given:
-    """From time 0 until nothing is left; at its samples, if a period is given."""
+    """Return the readings of the whole response or, with a period, of its samples."""
     p, r = both(modes)
     end_s = np.log(max(float(np.abs(r).sum()) / 1e-5, 2.0)) / -p.real.max()
     if period_s is None:
@@ -92,10 +93,10 @@ def _around_one(
     shares: NDArray[np.complex128],
     sampling: Sampling | None,
     direct: complex = 0.0,
-) -> Loops:
-    """The loop whose T is direct + Σ share/(s - p), 1 at s = 0."""
+) -> ClosedLoops:
+    """Return the loop with K = 1 and T = direct + Σ share/(s - p), which must be 1 at s = 0."""
     den = np.poly(p).real
     num = direct.real * den
     for i, share in enumerate(shares):
         num[1:] += (share * np.poly(np.delete(p, i))).real
-    return Loops(TransferFunction(num, den - num), ONE, sampling=sampling)
+    return ClosedLoops(TransferFunction(num, den - num), ONE, sampling=sampling)

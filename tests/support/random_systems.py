@@ -1,6 +1,6 @@
-"""Systems drawn from poles and zeros, as polynomials and, independently, as cascades of small state spaces.
+"""Random systems as polynomials and, independently of them, as cascades of small state spaces.
 
-The norms of the cascades are slycot's: a second opinion that shares no polynomial with the code under test.
+The norms of the cascades are slycot's. So the reference shares no polynomial with the code under test.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from design.models.plant import TransferFunction
+from design.models.transfer_function import TransferFunction
 
 patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
-"""Random loops are often unstable, and then are no example; nor does a busy machine make a test fail."""
+"""Settings for random loops: many are unstable and rejected; a slow machine must not fail a test."""
 
 Array = NDArray[np.float64]
 Blocks = tuple[Array, Array, Array, Array]
@@ -24,7 +24,7 @@ Blocks = tuple[Array, Array, Array, Array]
 
 @dataclass(frozen=True)
 class System:
-    """gain Π num sections / Π den sections; each section is (1,), (1, a) or (1, a, b) in falling powers."""
+    """A gain times numerator over denominator sections: (1,), (1, a) or (1, a, b) in falling powers."""
 
     gain: float
     num_sections: tuple[tuple[float, ...], ...]
@@ -57,7 +57,7 @@ class System:
 
     @property
     def state_space(self) -> Blocks:
-        """A cascade of the den sections, each taking as many zeros as it can carry."""
+        """The cascade of the denominator sections, each with as many zeros as its order allows."""
         nums = [np.ones(1) for _ in self.den_sections]
         for zeros in self.num_sections:
             for i, poles in enumerate(self.den_sections):
@@ -75,33 +75,33 @@ class System:
 
 
 def sections(
-    count: int, least_damping: float = 1e-3, integrators: bool = False
+    count: int, min_damping: float = 1e-3, integrators: bool = False
 ) -> st.SearchStrategy[tuple[float, ...]]:
-    """One section of degree ``count`` (1 or 2), stable or not, with modes between 0.1 and 30 rad/s."""
+    """Draw a section of degree ``count`` (1 or 2), stable or not, with its mode between 0.1 and 30 rad/s."""
     speed = st.floats(-1.0, 1.5).map(lambda exponent: 10.0**exponent)
     sign = st.sampled_from([1.0, 1.0, 1.0, -1.0])
     if count == 1:
         real = st.builds(lambda w, side: (1.0, side * w), speed, sign)
         return st.one_of(real, st.just((1.0, 0.0))) if integrators else real
-    damping = st.floats(np.log10(least_damping), 0.0).map(lambda exponent: 10.0**exponent)
+    damping = st.floats(np.log10(min_damping), 0.0).map(lambda exponent: 10.0**exponent)
     return st.builds(lambda w, zeta, side: (1.0, side * 2.0 * zeta * w, w * w), speed, damping, sign)
 
 
 @st.composite
 def systems(
     draw: st.DrawFn,
-    least_order: int = 1,
-    most_order: int = 8,
-    least_damping: float = 1e-3,
+    min_order: int = 1,
+    max_order: int = 8,
+    min_damping: float = 1e-3,
     strictly_proper: bool = False,
 ) -> System:
-    """Any plant: unstable, integrating, non-minimum phase; gain 0.1 to 10 at 1 rad/s."""
-    order = draw(st.integers(least_order, most_order))
+    """Draw a plant: unstable, integrating, non-minimum phase or not, with a gain of 0.1 to 10 at 1 rad/s."""
+    order = draw(st.integers(min_order, max_order))
     pairs = draw(st.integers(0, order // 2))
-    den = [draw(sections(2, least_damping)) for _ in range(pairs)]
+    den = [draw(sections(2, min_damping)) for _ in range(pairs)]
     den += [draw(sections(1, integrators=True)) for _ in range(order - 2 * pairs)]
     zero_pairs = draw(st.integers(0, pairs))
-    num = [draw(sections(2, least_damping)) for _ in range(zero_pairs)]
+    num = [draw(sections(2, min_damping)) for _ in range(zero_pairs)]
     num += [draw(sections(1)) for _ in range(draw(st.integers(0, order - 2 * pairs)))]
     if strictly_proper and sum(map(len, num)) - len(num) == order and num:
         num.pop()
@@ -111,15 +111,15 @@ def systems(
 
 
 def slycot_margin(G: System, K: System) -> float:
-    """1/‖T_zw‖∞ by ab13dd; 0 where the loop is unstable.
+    """Return 1/‖T_zw‖∞ by slycot's ab13dd; 0 if the loop is unstable.
 
-    ab13dd sometimes stops at a lower peak than the highest, so the largest of four runs counts.
+    ab13dd sometimes stops at a peak that is not the highest, so the largest norm of four runs is used.
     """
     return min(slycot_margins(G, K))
 
 
 def slycot_margins(G: System, K: System) -> list[float]:
-    """Four runs: with and without equilibration, at two tolerances."""
+    """Return the margins of four runs: with and without equilibration, at two tolerances."""
     A, B, C, D = closed_loop(G, K)
     if np.linalg.eigvals(A).real.max(initial=-1.0) >= 0.0:
         return [0.0]
@@ -133,14 +133,14 @@ def slycot_margins(G: System, K: System) -> list[float]:
 
 
 def margin_at(G: System, K: System, omega: float) -> float:
-    """1/σ_max(T_zw(jω)), from the state space of the loop."""
+    """Return 1/σ_max(T_zw(jω)), from the state space of the loop."""
     A, B, C, D = closed_loop(G, K)
     value = D + C @ np.linalg.solve(1j * omega * np.eye(len(A)) - A, B) if np.isfinite(omega) else D
     return float(1.0 / np.linalg.norm(value, 2))
 
 
 def margin_of_sections(G: System, K: System, omega: float) -> float:
-    """The same from the sections themselves, which no cancellation between them blurs; any ω, ∞ too."""
+    """Return 1/σ_max(T_zw(jω)) from the sections, which lose no digits by cancellation; ω may be ∞."""
     if not np.isfinite(omega):
         return margin_at(G, K, omega)
     (Gn, Gd), (Kn, Kd) = G.parts_at(1j * omega), K.parts_at(1j * omega)
@@ -148,7 +148,7 @@ def margin_of_sections(G: System, K: System, omega: float) -> float:
 
 
 def closed_loop(G: System, K: System) -> Blocks:
-    """T_zw of eq. (13): from (w1, w2) to (y, u) with y = G (u + w2) + w1, u = -K y."""
+    """Return T_zw of eq. (13), from (w1, w2) to (y, u) with y = G (u + w2) + w1 and u = -K y."""
     A, B, C, D = G.state_space
     a, b, c, d = K.state_space
     q = 1.0 / (1.0 + (D @ d)[0, 0])

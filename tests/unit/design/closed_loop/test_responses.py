@@ -1,4 +1,4 @@
-"""Step responses and what is read off them, against scipy and closed formulas."""
+"""Step responses and their readings, against scipy and closed formulas."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import pytest
 import scipy.signal
 from support.paper_loop import BEST_PI, BEST_PID, G0, HLS, PERIOD_S, PPID, W1, pi, pid
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.responses import step_responses
-from design.models.controller import Controller, of_error
-from design.models.plant import Sampling, TransferFunction, paper_plant, to_z
+from design.models.controller import Controller, one_degree_of_freedom
+from design.models.plant import paper_plant
+from design.models.sampling import Sampling, to_z
+from design.models.transfer_function import TransferFunction
 from design.synthesis.structures import STRUCTURES
 
-WHOLE_HLS = of_error(HLS.num, HLS.den)
+HLS_CONTROLLER = one_degree_of_freedom(HLS.num, HLS.den)
 
 
 def closed(G: TransferFunction, K: Controller, i: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -22,15 +24,15 @@ def closed(G: TransferFunction, K: Controller, i: int = 0) -> tuple[np.ndarray, 
     return above, np.polyadd(np.polymul(np.ravel(G.den), den), above)
 
 
-@pytest.mark.parametrize("K", [pid(*PPID), pid(*BEST_PID), WHOLE_HLS, pid(20.0, 30.0, 0.01, 0.01)])
-def test_continuous_steps_are_scipys(K: Controller) -> None:
+@pytest.mark.parametrize("K", [pid(*PPID), pid(*BEST_PID), HLS_CONTROLLER, pid(20.0, 30.0, 0.01, 0.01)])
+def test_continuous_steps_agree_with_scipy(K: Controller) -> None:
     response = step_responses(G0, K, None, 0.01, 400)
     _, expected = scipy.signal.step(closed(G0, K), T=response.time_s)
     np.testing.assert_allclose(response.y[0], expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("delay_samples", [0, 1, 3])
-def test_sampled_steps_are_the_difference_equation(delay_samples: int) -> None:
+def test_sampled_steps_agree_with_the_difference_equation(delay_samples: int) -> None:
     sampling = Sampling(PERIOD_S, delay_samples)
     G, K = paper_plant().transfer_function(sampling), pid(*BEST_PID)
     response = step_responses(G, K, sampling, PERIOD_S, 300)
@@ -46,7 +48,7 @@ def test_sampled_steps_are_the_difference_equation(delay_samples: int) -> None:
     assert np.abs(response.y[0, : delay_samples + 1]).max() < 1e-12
 
 
-def test_a_batch_is_its_loops_and_more_samples_change_nothing() -> None:
+def test_neither_the_batch_nor_the_number_of_samples_changes_a_response() -> None:
     values = np.array([PPID, BEST_PID, (8.0, 3.0, 0.1, 0.05)])
     together = step_responses(G0, STRUCTURES["pid"].controller(values), None, 0.02, 200)
     for i, row in enumerate(values):
@@ -54,7 +56,7 @@ def test_a_batch_is_its_loops_and_more_samples_change_nothing() -> None:
         np.testing.assert_allclose(together.y[i, :77], alone.y[0], atol=1e-11)
 
 
-def test_setpoint_weights_act_on_the_setpoint_alone() -> None:
+def test_setpoint_weights_act_on_the_setpoint_only() -> None:
     values = np.array([[11.0, 5.0, 0.3, 0.03, 0.4, 0.0]])
     K = STRUCTURES["pid-2dof"].controller(values)
     response = step_responses(G0, K, None, 0.01, 500)
@@ -67,7 +69,7 @@ def test_setpoint_weights_act_on_the_setpoint_alone() -> None:
 def test_a_proportional_loop_around_a_biproper_plant() -> None:
     # G = (s + 2)/(s + 1), K = 3: y(0+) = 3/4, y(∞) = 6/7.
     G = TransferFunction(np.array([1.0, 2.0]), np.array([1.0, 1.0]))
-    response = step_responses(G, of_error(np.array([[3.0]]), np.array([[1.0]])), None, 0.1, 100)
+    response = step_responses(G, one_degree_of_freedom(np.array([[3.0]]), np.array([[1.0]])), None, 0.1, 100)
     assert response.y[0, 0] == pytest.approx(0.75)
     assert response.y[0, -1] == pytest.approx(6.0 / 7.0)
     assert response.u[0, 0] == pytest.approx(0.75)
@@ -77,7 +79,7 @@ def test_a_proportional_loop_around_a_biproper_plant() -> None:
     ("K", "overshoot", "settling_s"),
     [
         (pid(*PPID), 0.0117, 0.880),
-        (WHOLE_HLS, 0.002, 1.06),
+        (HLS_CONTROLLER, 0.002, 1.06),
         (pid(*BEST_PID), 0.0040, 1.069),
         (pi(*BEST_PI), 0.0024, 1.064),
     ],
@@ -85,7 +87,7 @@ def test_a_proportional_loop_around_a_biproper_plant() -> None:
 def test_overshoot_and_settling_of_the_papers_controllers(
     K: Controller, overshoot: float, settling_s: float
 ) -> None:
-    loops = Loops(G0, K, W=W1)
+    loops = ClosedLoops(G0, K, W=W1)
     assert loops.overshoot[0] == pytest.approx(overshoot, abs=3e-4)
     assert loops.settling_s[0] == pytest.approx(settling_s, abs=3e-3)
 
@@ -94,7 +96,7 @@ def test_readings_of_a_second_order_loop() -> None:
     # w0²/(s² + 2 z w0 s + w0²) around K = 1.
     w0, zeta = 5.0, 0.4
     G = TransferFunction(np.array([w0**2]), np.array([1.0, 2.0 * zeta * w0, 0.0]))
-    loops = Loops(G, of_error(np.array([[1.0]]), np.array([[1.0]])))
+    loops = ClosedLoops(G, one_degree_of_freedom(np.array([[1.0]]), np.array([[1.0]])))
     assert loops.overshoot[0] == pytest.approx(np.exp(-np.pi * zeta / np.sqrt(1.0 - zeta**2)), rel=1e-4)
     assert loops.final_value[0] == pytest.approx(1.0)
     t = np.linspace(0.0, 6.0, 600001)
@@ -105,20 +107,20 @@ def test_readings_of_a_second_order_loop() -> None:
     assert loops.effort[0] == pytest.approx(1.0)
 
 
-def test_the_steady_error_is_that_of_the_gain_at_zero() -> None:
+def test_the_steady_state_error_follows_from_the_gain_at_zero_frequency() -> None:
     G = TransferFunction(np.array([2.0]), np.array([1.0, 1.0]))
-    loops = Loops(G, of_error(np.array([[4.0]]), np.array([[1.0]])))
+    loops = ClosedLoops(G, one_degree_of_freedom(np.array([[4.0]]), np.array([[1.0]])))
     assert loops.error[0] == pytest.approx(1.0 / 9.0)
 
 
-def test_unstable_and_slow_loops() -> None:
+def test_readings_of_unstable_and_slow_loops() -> None:
     K = STRUCTURES["pi"].controller(np.array([[500.0, 5.0], [0.01, 0.01], [10.763, 4.7136]]))
-    loops = Loops(G0, K)
+    loops = ClosedLoops(G0, K)
     assert loops.stable.tolist() == [False, True, True]
     assert np.abs(loops.response(2.0).y[0]).max() == 0.0
     for reading in (loops.overshoot, loops.settling_s, loops.rise_s, loops.effort, loops.itae):
         assert reading[0] == np.inf
         assert np.isfinite(reading[1:]).all()
-    # A slow integrator does not end where a window ends: its pole is at 0.0061 rad/s.
+    # The second loop has a pole at 0.0061 rad/s and settles after minutes.
     slow = np.roots(loops.closed[1]).real.max()
     assert loops.settling_s[1] == pytest.approx(np.log(0.02) / slow, rel=0.05)

@@ -1,4 +1,4 @@
-"""Batched polynomial algebra against numpy's, one polynomial at a time."""
+"""Algebra of batches of polynomials, against numpy's algebra of single ones."""
 
 from __future__ import annotations
 
@@ -26,23 +26,27 @@ def test_sum_product_and_value(p: list[float], q: list[float], s: float) -> None
 
 
 @given(coefficients, st.floats(0.0, 3.0))
-def test_power_is_the_squared_modulus_on_the_axis(p: list[float], omega: float) -> None:
+def test_the_squared_magnitude_on_the_imaginary_axis(p: list[float], omega: float) -> None:
     expected = abs(np.polyval(p, 1j * omega)) ** 2
-    assert poly.at(poly.power(row(p)), np.array([[omega**2]]))[0, 0] == pytest.approx(expected, abs=1e-6)
-    assert poly.power_at(row(p), np.array([[omega]]))[0, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert poly.at(poly.squared_magnitude(row(p)), np.array([[omega**2]]))[0, 0] == pytest.approx(
+        expected, abs=1e-6
+    )
+    assert poly.squared_magnitude_at(row(p), np.array([[omega]]))[0, 0] == pytest.approx(
+        expected, rel=1e-9, abs=1e-9
+    )
     even, odd = poly.even_odd(row(p))
     x = np.array([[omega**2]])
     value = poly.at(even, x)[0, 0] + 1j * omega * poly.at(odd, x)[0, 0]
     assert value == pytest.approx(np.polyval(p, 1j * omega), abs=1e-9)
 
 
-def test_power_near_a_lightly_damped_root_keeps_its_digits() -> None:
+def test_the_squared_magnitude_keeps_its_digits_near_a_lightly_damped_root() -> None:
     zeta = 1e-7
-    near = poly.power_at(np.array([1.0, 2.0 * zeta, 1.0]), np.array([1.0]))
+    near = poly.squared_magnitude_at(np.array([1.0, 2.0 * zeta, 1.0]), np.array([1.0]))
     assert near[0] == pytest.approx((2.0 * zeta) ** 2, rel=1e-12)
 
 
-def test_roots_come_back_whatever_the_ends() -> None:
+def test_roots_keep_their_digits_beside_a_nearly_vanishing_coefficient() -> None:
     wanted = np.array([-30.0, -7.0, -2.0, -1.0, -0.004, 5.0])
     p = np.poly(wanted)
     batch = np.stack([np.concatenate([[lead], p]) for lead in (0.0, 1e-12, 1e-40, 1e-150)])
@@ -83,7 +87,7 @@ def test_routh_of_a_batch_of_degrees_zero_and_one() -> None:
     ]
 
 
-def test_fraction_substituted_into_a_polynomial() -> None:
+def test_a_fraction_is_substituted_into_a_polynomial() -> None:
     p, s = np.array([2.0, -3.0, 0.5, 1.0]), 0.7
     substituted = poly.substitute_fraction(p, (2.0, -2.0), (1.0, 1.0))
     fraction = (2.0 * s - 2.0) / (s + 1.0)

@@ -1,4 +1,4 @@
-"""The record beside the model: against python-control's simulation, and what is refused."""
+"""A record compared with the model, against python-control's simulation; and the records that are refused."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hil.core.errors import DocumentError
 
 
 def record(noise_m: float = 0.0, from_sample: int = 0, offset_m: float = 0.0) -> str:
-    """A record of the paper's plant, by python-control, that begins in the middle of a motion."""
+    """Return a record of the paper's plant that begins in the middle of a motion, by python-control."""
     random = np.random.default_rng(5)
     u = np.repeat(random.choice([-0.4, 0.4], 60), 10)
     t = np.arange(len(u)) * PERIOD_S
@@ -27,14 +27,14 @@ def record(noise_m: float = 0.0, from_sample: int = 0, offset_m: float = 0.0) ->
     return "time_s,u,y\n" + "".join(f"{a:.7f},{b},{c}\n" for a, b, c in rows)
 
 
-def test_the_right_model_fits_whatever_the_initial_state_and_offset() -> None:
+def test_the_true_model_fits_with_any_initial_state_and_offset() -> None:
     fit = compare(paper_plant(), record(from_sample=87, offset_m=0.03), "r.csv")
     assert fit.fit_percent == pytest.approx(100.0, abs=1e-6)
     np.testing.assert_allclose(fit.model, fit.measured, atol=1e-9)
     assert fit.time_s[0] == 0.0
 
 
-def test_fit_falls_with_noise_by_its_share() -> None:
+def test_noise_lowers_the_fit_by_its_share() -> None:
     clean, noisy = compare(paper_plant(), record(), "r"), compare(paper_plant(), record(0.002), "r")
     share = 0.002 / clean.measured.std()
     assert noisy.fit_percent == pytest.approx(100.0 * (1.0 - share), abs=10.0 * share)
@@ -42,13 +42,13 @@ def test_fit_falls_with_noise_by_its_share() -> None:
 
 
 def changed(text: str, u: float = 1.0, y: float = 1.0) -> str:
-    """The record in other units."""
+    """Return the record in other units."""
     rows = [[float(cell) for cell in line.split(",")] for line in text.splitlines()[1:]]
     return "time_s,u,y\n" + "".join(f"{row[0]},{row[1] * u},{row[2] * y}\n" for row in rows)
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "warned"),
     [
         ({"y": 1000.0}, "its y is 1000 times what the model says.* y in mm, the model in m\\?"),
         ({"y": 57.2958}, "its y is 57 times what the model says.* y in degrees"),
@@ -58,20 +58,20 @@ def changed(text: str, u: float = 1.0, y: float = 1.0) -> str:
         ({"y": 7.0}, "its y is 7 times what the model says.* other units, or another plant\\?"),
     ],
 )
-def test_a_record_in_other_units_is_told_with_the_factor(changes: dict[str, float], told: str) -> None:
+def test_a_record_in_other_units_is_recognised_by_its_factor(changes: dict[str, float], warned: str) -> None:
     fit = compare(paper_plant(), changed(record(from_sample=87), **changes), "r.csv")
     assert fit.fit_percent < POOR_PERCENT
-    assert re.match(f"r.csv: the model follows this record to .* % only: {told}", fit.doubt)
+    assert re.match(f"r.csv: the model follows this record to .* % only: {warned}", fit.doubt)
 
 
-def test_swapped_columns_and_another_plant_are_told() -> None:
+def test_swapped_columns_and_another_plant_are_recognised() -> None:
     swapped = record(0.002).replace("time_s,u,y", "time_s,y,u")
     assert "are the columns swapped?" in compare(paper_plant(), swapped, "r.csv").doubt
     other = msgspec.structs.replace(paper_plant(), num=[1.0], den=[1.0, 0.5, 400.0])
     assert "another plant or axis" in compare(other, record(), "r.csv").doubt
 
 
-def test_a_record_with_noise_is_not_doubted() -> None:
+def test_a_record_with_noise_brings_no_warning() -> None:
     assert compare(paper_plant(), record(0.002), "r.csv").doubt == ""
 
 
@@ -84,7 +84,7 @@ def test_a_record_with_noise_is_not_doubted() -> None:
         ("time_s,u,y\n" + "".join(f"{k},0,1\n" for k in range(20)), "r.csv: y never changes"),
         (
             "time_s,u,y\n" + "".join(f"{k if k < 9 else k + 3},0,{k}\n" for k in range(20)),
-            "r.csv: row 11: 4 s since the row before, the mean is",
+            "r.csv: row 11: 4 s after the row before, but the mean is",
         ),
         ("time_s,u,y\n" + "".join(f"{k},0,{k}\n" for k in range(9)) + "9,x,1\n", "r.csv: row 11: u: 'x'"),
         (

@@ -1,27 +1,27 @@
-"""Plant documents and what the loop sees of them."""
+"""Plant documents: what they contain, what is refused, and what a loop sees of them."""
 
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import scipy.signal
 
+from design.closed_loop.loops import ClosedLoops
 from design.errors import DesignError
-from design.models.plant import (
-    Plant,
-    Sampling,
-    TransferFunction,
-    check_plant_fits,
-    delayed,
-    paper_plant,
-    read_plant,
-    to_z,
-    zero_order_hold,
-)
+from design.models.controller import one_degree_of_freedom
+from design.models.plant import Plant, check_plant_fits, paper_plant, read_plant
+from design.models.plant_set import limit_notes, loop_models
+from design.models.sampling import Sampling, to_z
 from hil.core.documents import to_json
 from hil.core.errors import DocumentError
+
+PERIOD_S = 0.0112
 
 
 def text(**changes: object) -> str:
@@ -30,16 +30,46 @@ def text(**changes: object) -> str:
     return json.dumps(document)
 
 
+def plant(**changes: Any) -> Plant:
+    return msgspec.structs.replace(paper_plant(), **changes)
+
+
 def test_the_paper_plant_is_equation_15() -> None:
     G = paper_plant().transfer_function()
     np.testing.assert_allclose(G.num, 0.47947 * np.array([1.0, 90.76]), rtol=1e-12)
     np.testing.assert_allclose(G.den, np.polymul([1.0, 0.4231], [1.0, 16.97, 167.9]), rtol=1e-12)
     assert paper_plant().sample_time_s == 0.0112
+    assert paper_plant().dead_time_s == paper_plant().contains_delay_samples == 0
 
 
-def test_a_plant_document_comes_back_as_it_was_written() -> None:
-    plant = paper_plant()
-    assert read_plant(to_json(plant), "p.json") == plant
+def test_a_plant_document_is_read_back_as_it_was_written() -> None:
+    assert read_plant(to_json(paper_plant()), "p.json") == paper_plant()
+    assert "dead_time_s" not in to_json(paper_plant()), "only what differs from the default is written"
+
+
+IDENTIFIED: dict[str, Any] = {
+    "dead_time_s": 0.017,
+    "contains_delay_samples": 1,
+    "discrete": {"num": [0.1, 0.05], "den": [1.0, -1.9, 0.905], "sample_time_s": 0.0112},
+    "covariance": {"parameters": ["gain", "pole"], "matrix": [[4e-4, 1e-5], [1e-5, 0.01]]},
+    "fit": {"estimation": 99.2, "validation": 98.7},
+    "conditions": {"supply_kpa": 450, "payload_kg": 0.0, "controller": "ppid", "in_closed_loop": True},
+    "recording": "0123456789abcdef" * 4,
+    "warnings": ["the zero at 90.8 rad/s is uncertain by 34 %"],
+}
+
+
+def test_what_an_identification_adds_is_read_and_written() -> None:
+    identified = read_plant(text(**IDENTIFIED), "p.json")
+    assert identified.dead_time_s == 0.017
+    assert identified.discrete is not None
+    assert identified.discrete.den == [1.0, -1.9, 0.905]
+    assert identified.covariance is not None
+    assert identified.covariance.parameters == ["gain", "pole"]
+    assert identified.fit["validation"] == 98.7
+    assert identified.conditions["controller"] == "ppid"
+    assert identified.warnings == ["the zero at 90.8 rad/s is uncertain by 34 %"]
+    assert read_plant(to_json(identified), "p.json") == identified
 
 
 @pytest.mark.parametrize(
@@ -47,7 +77,7 @@ def test_a_plant_document_comes_back_as_it_was_written() -> None:
     [
         ({"num": [0.0, 0.0]}, "num: the plant's gain is 0"),
         ({"den": [0.0]}, "den: all coefficients are 0"),
-        ({"num": [1.0, 0.0, 0.0, 0.0, 0.0]}, "improper"),
+        ({"num": [1.0, 0.0, 0.0, 0.0, 0.0]}, "num has degree 4, den 3: the model is improper"),
         ({"output_unit": "mm"}, "output_unit"),
         ({"sample_time_s": 0.0}, "sample_time_s"),
         ({"gain": 3.0}, "gain"),
@@ -59,6 +89,48 @@ def test_a_plant_document_comes_back_as_it_was_written() -> None:
         ),
         ({"num": [1.0, 0.0, 9.0], "den": [1.0, 3.0, 9.0, 27.0]}, "pole at s = 0 ± 3j is cancelled"),
         ({"version": 2}, "version"),
+        ({"den": [1.0] * 22}, "den: 22 coefficients are order 21; the largest order is 20"),
+        ({"num": [1e300]}, "num[0]: 1e+300 is neither 0 nor between 1e-100 and 1e+100"),
+        ({"den": [1.0, 2.0, 1e-200]}, "den[2]: 1e-200 is neither 0 nor between"),
+        ({"dead_time_s": -0.01}, "dead_time_s"),
+        ({"dead_time_s": 11.0}, "dead_time_s"),
+        ({"contains_delay_samples": -1}, "contains_delay_samples"),
+        ({"contains_delay_samples": 1.5}, "contains_delay_samples"),
+        (
+            {"contains_delay_samples": 1, "sample_time_s": None},
+            "contains_delay_samples: 1 periods, but sample_time_s, the length of a period, is missing",
+        ),
+        (
+            {"discrete": {"num": [1.0, 2.0, 3.0], "den": [1.0, -0.5], "sample_time_s": 0.01}},
+            "discrete: num has degree 2, den 1: the model is improper",
+        ),
+        (
+            {"discrete": {"num": [1.0], "den": [0.0, 0.0], "sample_time_s": 0.01}},
+            "discrete: den: all coefficients are 0",
+        ),
+        ({"discrete": {"num": [1.0], "den": [1.0]}}, "sample_time_s"),
+        ({"fit": {"validation": 101.0}}, "fit.validation: 101 % is over 100 %"),
+        ({"recording": "run-7.mcap"}, "recording: 'run-7.mcap' is not a SHA-256"),
+        (
+            {"covariance": {"parameters": ["a", "a"], "matrix": [[1.0, 0.0], [0.0, 1.0]]}},
+            "covariance.parameters: give the name of each parameter once",
+        ),
+        (
+            {"covariance": {"parameters": ["a", "b"], "matrix": [[1.0, 0.0]]}},
+            "covariance.matrix: it must have 2 rows of 2 numbers",
+        ),
+        (
+            {"covariance": {"parameters": ["a", "b"], "matrix": [[1.0, 0.2], [0.1, 1.0]]}},
+            "covariance.matrix: it is not symmetric",
+        ),
+        (
+            {"covariance": {"parameters": ["a", "b"], "matrix": [[1e-6, 2.0], [2.0, 1e6]]}},
+            "covariance.matrix: it has a negative eigenvalue",
+        ),
+        (
+            {"covariance": {"parameters": ["a"], "matrix": [[-1.0]]}},
+            "covariance.matrix: it has a negative eigenvalue",
+        ),
     ],
 )
 def test_refused(changes: dict[str, object], named: str) -> None:
@@ -67,67 +139,147 @@ def test_refused(changes: dict[str, object], named: str) -> None:
     assert named in str(refusal.value)
 
 
+def test_a_covariance_of_rank_one_and_of_very_different_sizes_is_accepted() -> None:
+    for matrix in ([[1.0, 2.0], [2.0, 4.0]], [[1e-12, 1e-4], [1e-4, 1e6]], [[0.0, 0.0], [0.0, 1.0]]):
+        read_plant(text(covariance={"parameters": ["a", "b"], "matrix": matrix}), "p.json")
+
+
 def test_leading_zeros_do_not_make_a_plant_improper() -> None:
-    plant = read_plant(text(num=[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), "p.json")
-    assert plant.transfer_function().num.tolist() == [1.0]
+    zeros = read_plant(text(num=[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), "p.json")
+    assert zeros.transfer_function().num.tolist() == [1.0]
 
 
-def test_the_unit_must_be_the_axis() -> None:
+def test_the_unit_must_be_that_of_the_axis() -> None:
     check_plant_fits(paper_plant(), "p.json", "m")
     with pytest.raises(DocumentError, match=r"p\.json: output_unit: m, but the axis is in rad"):
         check_plant_fits(paper_plant(), "p.json", "rad")
-
-
-SYSTEMS = {
-    "paper": ([0.47947, 43.5166972], [1.0, 17.3931, 175.080007, 71.03849]),
-    "integrator": ([3.0], [1.0, 4.0, 0.0]),
-    "double integrator": ([2.0], [1.0, 0.0, 0.0]),
-    "unstable": ([1.0, 2.0], [1.0, -1.0, 4.0]),
-    "biproper": ([2.0, 1.0, 3.0], [1.0, 2.0, 5.0]),
-    "repeated poles": ([1.0], [1.0, 6.0, 12.0, 8.0]),
-    "constant": ([2.5], [1.0]),
-}
-
-
-@pytest.mark.parametrize("name", SYSTEMS)
-@pytest.mark.parametrize("period_s", [0.0112, 0.3])
-def test_zero_order_hold_is_scipys_on_the_unit_circle(name: str, period_s: float) -> None:
-    num, den = map(np.array, SYSTEMS[name])
-    plane = delayed(zero_order_hold(TransferFunction(num, den), period_s), Sampling(period_s, 2))
-    omega = np.linspace(0.05, 0.95, 40) * np.pi / period_s
-    z = np.exp(1j * omega * period_s)
-    # In state space: scipy's num/den has lost half its digits at the short period.
-    A, B, C, D, _ = scipy.signal.cont2discrete(scipy.signal.tf2ss(num, den), period_s)
-    responses = [(C @ np.linalg.solve(point * np.eye(len(A)) - A, B) + D)[0, 0] for point in z]
-    expected = np.array(responses) / z**2
-    s = 2.0 / period_s * (z - 1.0) / (z + 1.0)
-    np.testing.assert_allclose(np.polyval(plane.num, s) / np.polyval(plane.den, s), expected, rtol=1e-9)
-    in_z = to_z(plane, period_s)
-    np.testing.assert_allclose(np.polyval(in_z.num, z) / np.polyval(in_z.den, z), expected, rtol=1e-7)
-
-
-def test_tustins_rule() -> None:
-    # 11 + 5.6/s
-    H = to_z(TransferFunction(np.array([11.0, 5.6]), np.array([1.0, 0.0])), 0.0112)
-    np.testing.assert_allclose(H.den, [1.0, -1.0])
-    np.testing.assert_allclose(H.num, [11.0 + 0.0056 * 5.6, -11.0 + 0.0056 * 5.6], rtol=1e-12)
-
-
-def test_a_mode_that_the_period_cannot_see() -> None:
-    period_s = 0.1
-    blind = TransferFunction(np.array([1.0]), np.array([1.0, 0.0, (np.pi / period_s) ** 2]))
-    with pytest.raises(DesignError, match="half the sampling frequency"):
-        zero_order_hold(blind, period_s)
-
-
-def test_frequencies_of_the_plane() -> None:
-    sampling = Sampling(0.0112)
-    assert float(sampling.warp(100.0)) > 100.0
-    assert float(sampling.unwarp(sampling.warp(100.0))) == pytest.approx(100.0)
-    assert float(sampling.unwarp(np.inf)) == pytest.approx(np.pi / 0.0112)
 
 
 def test_a_plant_is_frozen() -> None:
     with pytest.raises(AttributeError):
         paper_plant().name = "other"  # type: ignore[misc]
     assert isinstance(paper_plant(), Plant)
+
+
+def first_motion(which: Plant, sampling: Sampling) -> int:
+    """Return the sample at which the output begins to move after a step of u at sample 0."""
+    num, den = to_z(which.transfer_function(sampling), sampling.period_s)
+    return len(den) - len(np.trim_zeros(np.where(np.abs(num) < 1e-12 * np.abs(num).max(), 0.0, num), "f"))
+
+
+@pytest.mark.parametrize(
+    ("dead_time_s", "contained", "delay_samples", "moves_at"),
+    [
+        (0.0, 0, 0, 1),
+        (0.0, 0, 1, 2),  # the paper's convention: the loop's delay is added
+        (0.0112, 1, 1, 2),  # identified through the rig: the loop's delay is in the dead time already
+        (0.0112, 1, 0, 1),
+        (0.0224, 1, 1, 3),  # one period of the rig, and one of the plant itself
+        (0.0224, 0, 1, 4),
+        (0.0112, 1, 3, 4),
+    ],
+)
+def test_the_transport_delay_counts_once(
+    dead_time_s: float, contained: int, delay_samples: int, moves_at: int
+) -> None:
+    identified = plant(dead_time_s=dead_time_s, contains_delay_samples=contained)
+    assert first_motion(identified, Sampling(PERIOD_S, delay_samples)) == moves_at
+
+
+def test_delay_contained_in_num_and_den_counts_once() -> None:
+    """A model without dead time whose poles hold the rig's period of delay needs no further period."""
+    identified = plant(contains_delay_samples=1)
+    there = identified.transfer_function(Sampling(PERIOD_S, 1))
+    expected = paper_plant().transfer_function(Sampling(PERIOD_S, 0))
+    assert [p.tolist() for p in there] == [p.tolist() for p in expected]
+    more = identified.transfer_function(Sampling(PERIOD_S, 3))
+    assert len(more.den) == len(expected.den) + 2
+
+
+def test_contained_delay_is_in_periods_of_the_record() -> None:
+    """Identified at 11.2 ms, designed at 5.6 ms: 16.8 ms of the plant itself are three of these periods."""
+    identified = plant(dead_time_s=0.028, contains_delay_samples=1)
+    assert identified.own_dead_time_s == pytest.approx(0.0168)
+    assert identified.loop_delay_s(Sampling(0.0056, 2)) == pytest.approx(0.028)
+    assert first_motion(identified, Sampling(0.0056, 2)) == 1 + 3 + 2
+
+
+def test_a_loop_with_less_delay_than_the_model_contains_is_refused() -> None:
+    identified = plant(contains_delay_samples=1)
+    with pytest.raises(
+        DesignError, match=r"plant paper: contains_delay_samples: its model contains 1 periods of 0.0112 s"
+    ):
+        identified.transfer_function(Sampling(PERIOD_S, 0))
+    with pytest.raises(DesignError, match=r"this loop has only 0\.0056 s"):
+        loop_models([paper_plant(), identified], Sampling(0.0056, 1))
+
+
+def test_a_continuous_loop_cannot_represent_a_dead_time() -> None:
+    with pytest.raises(DesignError, match=r"dead_time_s: the plant has a dead time of 0.006 s, .*sampled"):
+        plant(dead_time_s=0.006).transfer_function()
+    with pytest.raises(DesignError, match=r"num and den contain a part of the rig's transport delay"):
+        plant(contains_delay_samples=1).transfer_function()
+    only_of_the_rig = plant(dead_time_s=0.0112, contains_delay_samples=1)
+    assert only_of_the_rig.is_rational
+    for used, given in zip(only_of_the_rig.transfer_function(), only_of_the_rig.rational_part, strict=True):
+        assert used.tolist() == given.tolist()
+
+
+def test_a_dead_time_of_too_many_periods_is_refused_by_name() -> None:
+    with pytest.raises(DesignError, match=r"plant paper: the loop's delay, 0\.5112 s, is 45\.6 periods"):
+        plant(dead_time_s=0.5).transfer_function(Sampling(PERIOD_S, 1))
+
+
+def test_a_record_shows_the_delays_that_the_model_contains() -> None:
+    identified = plant(dead_time_s=0.0168, contains_delay_samples=1)
+    model, loop = identified.record_model(PERIOD_S), identified.transfer_function(Sampling(PERIOD_S, 1))
+    assert [p.tolist() for p in model] == [p.tolist() for p in loop]
+
+
+@pytest.mark.parametrize("dead_time_s", [0.004, 0.0112, 0.03])
+def test_the_step_response_of_a_loop_with_dead_time_is_the_simulated_one(dead_time_s: float) -> None:
+    """The reference simulates plant, delay line and law in 112 exact steps for each period."""
+    sampling, substeps = Sampling(PERIOD_S, 1), 112
+    identified = plant(dead_time_s=dead_time_s)
+    K = one_degree_of_freedom(np.array([[6.0, 2.5]]), np.array([[1.0, 0.0]]))
+    loops = ClosedLoops(identified.transfer_function(sampling), K, sampling=sampling)
+    response = loops.response(2.0)
+    states = scipy.signal.tf2ss(identified.num, identified.den)
+    A, B, C, _, _ = scipy.signal.cont2discrete(states, PERIOD_S / substeps)
+    count = len(response.time_s) * substeps
+    late = round(dead_time_s / PERIOD_S * substeps) + substeps * sampling.delay_samples
+    x, u, y = np.zeros((3, 1)), np.zeros(count + late), np.zeros(count)
+    integral = previous_error = 0.0
+    for k in range(count):
+        y[k] = (C @ x)[0, 0]
+        if k % substeps == 0:
+            error = 1.0 - y[k]
+            integral += 2.5 * 0.5 * PERIOD_S * (error + previous_error)
+            previous_error = error
+            u[k + late : k + late + substeps] = 6.0 * error + integral
+        x = A @ x + B * u[k]
+    np.testing.assert_allclose(y[::substeps], response.y[0], atol=1e-9)
+
+
+def test_dead_time_is_part_of_what_limits_a_plant() -> None:
+    slow = plant(dead_time_s=0.2)
+    note = limit_notes(slow, Sampling(PERIOD_S, 1), 4.0)
+    assert "the loop's hold and delay, 0.217 s, allow no crossover over 4.61 rad/s" in note
+    assert limit_notes(paper_plant(), Sampling(PERIOD_S, 1), 4.0) == ""
+
+
+def test_reading_a_plant_imports_neither_the_gateway_nor_slow_libraries() -> None:
+    program = (
+        "import sys\n"
+        "from design.models.plant import read_plant\n"
+        "plant = read_plant(sys.stdin.read(), 'p.json')\n"
+        "heavy = ('hil.core.gateway', 'hil.recording', 'scipy', 'control', 'matplotlib', 'rich')\n"
+        "print([name for name in sys.modules if name.startswith(heavy)])\n"
+        "print([name for name in sys.modules if name.startswith('hil.')])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], input=text(), capture_output=True, text=True, check=True
+    )
+    heavy, ours = done.stdout.splitlines()
+    assert heavy == "[]"
+    assert ours == str(["hil.core", "hil.core.errors", "hil.core.documents"])

@@ -14,7 +14,7 @@ from support.designs import continuous_design, reproduction, sampled_design
 
 from design.closed_loop.comparison import Measures, eps_text, number_text, table_rows
 from design.models.measured_record import ModelFit
-from design.models.plant import TransferFunction
+from design.models.transfer_function import TransferFunction
 from design.output.advice import warnings
 from design.output.report import design_figures, mathml, render
 from design.synthesis.procedure import Design

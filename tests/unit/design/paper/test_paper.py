@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.designs import reproduction
 
-from design.models.plant import TransferFunction
+from design.models.transfer_function import TransferFunction
 from design.output.advice import hints
 from design.paper import claims as paper_claims
 from design.paper.claims import Evidence, judge

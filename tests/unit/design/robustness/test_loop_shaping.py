@@ -1,4 +1,4 @@
-"""The paper's synthesis, both ways; Appendices A and B at their figures."""
+"""H-infinity loop shaping by both methods, against the figures of the paper, and Appendices A and B."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from support.paper_loop import G0, HLS, PERIOD_S, W1
 
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
-from design.models.plant import Sampling, TransferFunction, paper_plant
+from design.models.plant import paper_plant
 from design.models.realisation import realise, transfer_function
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.central_controller import central_controllers, optimal_margins
 from design.robustness.loop_shaping import gamma_opt, normalised_left_coprime_factors, shaped, synthesise
 from design.robustness.margins import stability_margin
@@ -17,8 +19,8 @@ from design.robustness.margins import stability_margin
 GS = shaped(G0, W1)
 
 
-def whole(K_inf: TransferFunction) -> TransferFunction:
-    """K = W1 K∞, monic."""
+def full_controller(K_inf: TransferFunction) -> TransferFunction:
+    """Return K = W1 K∞ with a monic denominator."""
     num = np.polymul(W1.num, np.trim_zeros(np.ravel(K_inf.num), "f"))
     den = np.polymul(W1.den, np.ravel(K_inf.den))
     return TransferFunction(num / den[0], den / den[0])
@@ -34,8 +36,8 @@ def by_interpolation() -> TransferFunction:
 
 
 @pytest.mark.parametrize("synthesis", [by_riccati, by_interpolation])
-def test_equation_18(synthesis: object) -> None:
-    K = whole(synthesis())  # type: ignore[operator]
+def test_both_methods_give_equation_18(synthesis: object) -> None:
+    K = full_controller(synthesis())  # type: ignore[operator]
     np.testing.assert_allclose(K.num, HLS.num, rtol=1e-3)
     np.testing.assert_allclose(K.den, HLS.den, rtol=1e-3)
     np.testing.assert_allclose(K.num, [372.28, 6714.8, 67956.6, 55790.9, 11949.7], rtol=1e-5)
@@ -43,7 +45,7 @@ def test_equation_18(synthesis: object) -> None:
     assert stability_margin(G0, K, W1)[0] == pytest.approx(0.5524, abs=5e-5)
 
 
-def test_optimal_margin_of_the_papers_weight() -> None:
+def test_the_optimal_margin_of_the_papers_weight() -> None:
     assert optimal_margins(GS)[0] == pytest.approx(0.601487, abs=5e-7)
     assert 1.0 / gamma_opt(realise(GS)) == pytest.approx(optimal_margins(GS)[0], rel=1e-11)
     # Eq. (17) prints a damping of 16.67.
@@ -52,7 +54,7 @@ def test_optimal_margin_of_the_papers_weight() -> None:
     assert 1.0 / (1.1 * gamma_opt(realise(GS))) == pytest.approx(0.54681, abs=1e-5)
 
 
-def test_a_batch_of_weights_is_its_weights() -> None:
+def test_no_weight_depends_on_the_others_of_its_batch() -> None:
     kw, a = np.array([0.1, 2.0, 15.0, 49.0]), np.array([0.02, 30.0, 0.44, 7.0])
     W = TransferFunction(np.stack([kw, kw * a], axis=-1), np.array([[1.0, 0.001]]))
     together, margins = central_controllers(shaped(G0, W))
@@ -72,19 +74,19 @@ def test_a_biproper_plant() -> None:
     H = transfer_function(synthesis.controller)
     np.testing.assert_allclose(K.num[0], H.num, rtol=1e-8)
     np.testing.assert_allclose(K.den[0], H.den, rtol=1e-8)
-    # K∞ at infinity is the plant there: the best answer where the plant is a constant.
+    # At infinity the plant is a constant, and the best controller there equals it.
     assert K.num[0, 0] / K.den[0, 0] == pytest.approx(2.0)
     assert margin[0] / 1.2 <= stability_margin(Gs, K)[0] <= margin[0]
 
 
 @pytest.mark.parametrize("delay_samples", [0, 1, 2, 5])
-def test_sampled_synthesis_with_delays(delay_samples: int) -> None:
+def test_sampled_synthesis_reaches_the_optimum_with_delays(delay_samples: int) -> None:
     Gs = shaped(paper_plant().transfer_function(Sampling(PERIOD_S, delay_samples)), W1)
     K, margin = central_controllers(Gs, 1.0 + 1e-6)
     assert stability_margin(Gs, K)[0] == pytest.approx(margin[0], rel=2e-6)
 
 
-def test_coprime_factors_make_the_plant() -> None:
+def test_the_ratio_of_the_coprime_factors_is_the_plant() -> None:
     N_and_M = normalised_left_coprime_factors(realise(GS))
     s = 3.0j
     N, M = (N_and_M.C @ np.linalg.solve(s * np.eye(4) - N_and_M.A, N_and_M.B) + N_and_M.D)[0]
@@ -93,14 +95,14 @@ def test_coprime_factors_make_the_plant() -> None:
     assert ratio == pytest.approx(np.polyval(GS.num, s) / np.polyval(GS.den, s))
 
 
-def test_gamma_at_or_under_the_optimum_is_refused() -> None:
+def test_a_gamma_at_or_below_the_optimum_is_refused() -> None:
     with pytest.raises(DesignError, match="not over 1"):
         synthesise(GS, 1.0)
     with pytest.raises(DesignError, match="not over 1"):
         central_controllers(GS, 0.9)
 
 
-def test_realisation_and_back() -> None:
+def test_realising_and_converting_back_keeps_the_transfer_function() -> None:
     H = TransferFunction(np.array([3.0, 1.0, 2.0]), np.array([2.0, 5.0, 7.0, 1e-3]))
     back = transfer_function(realise(H))
     np.testing.assert_allclose(back.num[1:], H.num / 2.0, rtol=1e-11)

@@ -1,4 +1,4 @@
-"""The paper's margins, and the classical ones of loops that can be worked out by hand."""
+"""The margins of the paper's controllers, and those of loops that can be computed by hand."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from support.paper_loop import BEST_PI, BEST_PID, G0, HLS, PERIOD_S, PPID, W1, pi, pid
 
-from design.models.plant import Sampling, TransferFunction, paper_plant
+from design.models.plant import paper_plant
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.loop_shaping import shaped
 from design.robustness.margins import (
     bandwidth,
@@ -41,7 +43,7 @@ def test_margins_of_the_papers_controllers(K: TransferFunction, margin: float) -
         (HLS, (0.5490, 0.5314, 0.5120)),
     ],
 )
-def test_sampled_margins_with_no_one_and_two_samples_of_delay(
+def test_sampled_margins_with_zero_one_and_two_samples_of_delay(
     K: TransferFunction, sampled: tuple[float, ...]
 ) -> None:
     for delay_samples, margin in enumerate(sampled):
@@ -49,7 +51,7 @@ def test_sampled_margins_with_no_one_and_two_samples_of_delay(
         assert stability_margin(G, K, W1)[0] == pytest.approx(margin, abs=6e-5)
 
 
-def test_a_batch_knows_which_of_its_loops_are_unstable() -> None:
+def test_unstable_loops_of_a_batch_have_no_margin() -> None:
     K = TransferFunction(np.array([[11.0, 5.0], [500.0, 5.0], [-1.0, -0.1]]), np.array([[1.0, 0.0]]))
     margin, omega = margin_and_frequency(G0, K, W1)
     assert margin[0] > 0.5
@@ -57,11 +59,11 @@ def test_a_batch_knows_which_of_its_loops_are_unstable() -> None:
     assert np.isnan(omega).tolist() == [False, True, True]
 
 
-def test_a_hidden_unstable_cancellation_is_unstable() -> None:
+def test_a_loop_that_cancels_an_unstable_pole_is_unstable() -> None:
     assert stability_margin(tf([1.0], [1.0, -1.0]), tf([1.0, -1.0], [1.0, 5.0]))[0] == 0.0
 
 
-def test_a_static_loop() -> None:
+def test_the_margin_of_a_static_loop() -> None:
     # T_zw of G = 1, K = 1: sqrt(2) sqrt(2) / 2.
     assert stability_margin(tf([1.0], [1.0]), tf([1.0], [1.0]))[0] == pytest.approx(1.0)
     assert stability_margin(tf([1.0], [1.0]), tf([3.0], [1.0]))[0] == pytest.approx(4.0 / np.sqrt(20.0))
@@ -76,14 +78,14 @@ def test_a_very_lightly_damped_mode_is_not_missed() -> None:
     assert omega[0] == pytest.approx(w0, rel=1e-6)
 
 
-def test_a_pole_on_the_axis_leaves_nothing() -> None:
-    # Routh's table sees the undamped pair as stable by 1e-16; the peak does not.
+def test_a_pole_on_the_axis_leaves_no_margin() -> None:
+    # Rounding of 1e-16 makes Routh's table call the undamped pair stable; the margin is 0 all the same.
     num, den = np.polymul([3.0216], [1.0, 2.0, 1.0]), np.polymul([1.0, 2.0, 1.0], [1.0, 0.0, 0.0])
     assert stability_margin(TransferFunction(num, den), tf([1.0], [1.0]))[0] < 1e-12
 
 
-def test_peaks_of_equal_height_and_peaks_at_both_ends() -> None:
-    # K/W1 at infinity is where the optimum PID loses as much as inside.
+def test_the_highest_of_several_peaks_counts_even_at_infinity() -> None:
+    # The optimum PID has equal peaks at infinity and in between.
     margin, omega = margin_and_frequency(G0, pid(*BEST_PID), W1)
     assert omega[0] == np.inf
     h = []
@@ -97,7 +99,7 @@ def test_peaks_of_equal_height_and_peaks_at_both_ends() -> None:
     assert min(h) >= margin[0] * (1.0 - 1e-7)
 
 
-def test_shape_of_the_papers_loop() -> None:
+def test_crossover_gain_and_bandwidth_of_the_papers_loop() -> None:
     Gs = shaped(G0, W1)
     assert crossover(Gs)[0] == pytest.approx(4.070, abs=5e-4)
     assert 20.0 * np.log10(lowest_gain(Gs, 0.4)[0]) == pytest.approx(20.24, abs=5e-3)
@@ -108,7 +110,7 @@ def test_shape_of_the_papers_loop() -> None:
 
 
 @pytest.mark.parametrize("K", [pid(*PPID), pid(*BEST_PID), HLS])
-def test_gain_and_phase_margin_are_python_controls(K: TransferFunction) -> None:
+def test_gain_and_phase_margin_agree_with_python_control(K: TransferFunction) -> None:
     L = control.tf(G0.num, G0.den) * control.tf(np.ravel(K.num), np.ravel(K.den))
     gain, phase, _, _ = control.margin(L)
     ours = shaped(G0, TransferFunction(*map(np.ravel, (K.num, K.den))))
@@ -135,7 +137,7 @@ def test_a_sampled_loop_may_lose_its_margin_at_half_the_sampling_frequency() -> 
     assert gain_margins(L)[1][0] == pytest.approx(20.0)
 
 
-def test_no_crossing_no_margin() -> None:
+def test_margins_of_a_loop_whose_gain_is_never_1() -> None:
     quiet = tf([0.1], [1.0, 1.0])
     assert crossover(quiet)[0] == 0.0
     assert phase_margin(quiet)[0] == np.pi

@@ -11,8 +11,10 @@ from support.constants import PERIOD_S
 
 from design.errors import DesignError
 from design.mathematics import polynomials as poly
-from design.models.plant import Plant, Sampling, TransferFunction, paper_plant
+from design.models.plant import Plant, paper_plant
 from design.models.realisation import transfer_function
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.loop_shaping import shaped, synthesise
 from design.synthesis.baselines import (
     UltimateCycle,

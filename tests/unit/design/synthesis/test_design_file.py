@@ -10,7 +10,7 @@ import pytest
 
 from design.closed_loop.specifications import PAPER, QUANTITIES, Specification
 from design.errors import DesignError
-from design.models.plant import Sampling
+from design.models.sampling import Sampling
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.genetic_algorithm import GeneticAlgorithm
 from design.synthesis.design_file import (
@@ -135,8 +135,8 @@ def test_a_class_of_ones_own_is_found_in_the_working_directory(
 OWN = """
 from dataclasses import dataclass
 import numpy as np
-from design.search.boxes import Parameter
-from design.models.controller import of_error
+from design.search.bounds import Parameter
+from design.models.controller import one_degree_of_freedom
 from design.synthesis.structures import Proportional, TustinLaw
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Mine(TustinLaw):
     parameters: tuple = (Parameter("k", 0.01, 100.0), Parameter("t", 0.01, 1.0))
     def controller(self, values):
         k, t = values.T
-        return of_error(k[:, None], np.stack([t, np.ones_like(t)], axis=-1))
+        return one_degree_of_freedom(k[:, None], np.stack([t, np.ones_like(t)], axis=-1))
 
 class Raises(Mine):
     def controller(self, values):
@@ -152,15 +152,15 @@ class Raises(Mine):
 
 class NotFinite(Mine):
     def controller(self, values):
-        return of_error(np.log(values[:, :1] - 1.0), np.ones((1, 1)))
+        return one_degree_of_freedom(np.log(values[:, :1] - 1.0), np.ones((1, 1)))
 
 class WrongShape(Mine):
     def controller(self, values):
-        return of_error(values[:, 0], np.ones((1, 1)))
+        return one_degree_of_freedom(values[:, 0], np.ones((1, 1)))
 
 class Improper(Mine):
     def controller(self, values):
-        return of_error(values, np.ones((1, 1)))
+        return one_degree_of_freedom(values, np.ones((1, 1)))
 
 class NoLaw(Mine):
     def law(self, values, period_s):
@@ -206,10 +206,10 @@ def test_searchers() -> None:
     ):
         assert isinstance(searcher, GeneticAlgorithm)
         count = 0
-        while searcher.stop() is None:
+        while searcher.stop_reason() is None:
             points = searcher.ask()
             assert len(points) == chromosomes
-            searcher.tell(points[:, 0])
+            searcher.update(points[:, 0])
             count += 1
         assert count == generations
 
@@ -259,7 +259,7 @@ def test_refused_with_file_and_key(text: str, message: str) -> None:
 
 
 def test_unknown_parameter_and_structure_name_what_exists() -> None:
-    with pytest.raises(DesignError, match=r"no parameter kq .* it has kp, ki, kd, tau_d"):
+    with pytest.raises(DesignError, match=r"no parameter kq; it has kp, ki, kd, tau_d"):
         read_design("[controller.box]\nkq = { low = 1.0, high = 2.0 }\n", "d").controller_structure()
     with pytest.raises(DocumentError, match=r"'pidd': not one of p, pi, pd, pid, .*free"):
         read_design('[controller]\nstructure = "pidd"\n', "d").controller_structure()

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from support.paper_loop import BEST_PI, BEST_PID, PERIOD_S, W1
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import Specification, violations
 from design.errors import DesignError, InfeasibleError, NotStabilisedError
 from design.models.controller import controller_of_law
-from design.models.plant import Plant, Sampling, paper_plant
+from design.models.plant import Plant, paper_plant
+from design.models.sampling import Sampling
 from design.robustness.margins import stability_margin
-from design.search.boxes import Parameter, with_boxes
+from design.search.bounds import Parameter, with_bounds
 from design.search.genetic_algorithm import GeneticAlgorithm
 from design.synthesis.fixed_structure import Synthesis, synthesise
 from design.synthesis.structures import STRUCTURES, FreeTransferFunction
@@ -53,7 +54,7 @@ def test_designed_in_z_with_one_sample_of_delay() -> None:
 
 def test_the_papers_searcher_does_about_as_well_as_the_papers_controller() -> None:
     linear = {p.name: Parameter(p.name, p.low, p.high, "linear") for p in STRUCTURES["pid"].parameters}
-    structure = with_boxes(STRUCTURES["pid"], linear)
+    structure = with_bounds(STRUCTURES["pid"], linear)
     margins = [
         synthesise(paper_plant(), W1, structure, searcher=partial(GeneticAlgorithm, seed=seed)).eps
         for seed in range(5)
@@ -108,7 +109,7 @@ def test_what_no_margin_sees_is_the_same_on_every_seed() -> None:
         found = synthesise(paper_plant(), W1, STRUCTURES["pid-2dof"], sampling=sampling, seed=seed)
         assert found.eps == pytest.approx(plain.eps, abs=1e-5)
         assert found.setpoint_parameters == ("b", "c")
-        assert not found.at_walls, "a setpoint weight of 1 is no wall to be widened"
+        assert not found.at_bounds, "a setpoint weight of 1 is no wall to be widened"
         weights.append((found.parameters["b"], found.parameters["c"]))
     np.testing.assert_allclose(weights, [(0.994, 1.0)] * 4, atol=0.002)
 
@@ -123,7 +124,7 @@ def test_setpoint_weights_are_the_best_there_are() -> None:
     values[:, 4], values[:, 5] = b.ravel(), c.ravel()
     G = plant([1.0], [1.0, 0.4, 4.0, 0.0]).transfer_function()
     own, others = (
-        Loops(G, STRUCTURES["pid-2dof"].controller(these)).itae
+        ClosedLoops(G, STRUCTURES["pid-2dof"].controller(these)).itae
         for these in (np.array([found.values]), values)
     )
     assert own[0] <= others.min()
@@ -137,7 +138,7 @@ def test_setpoint_weights_meet_what_they_can_at_no_cost_of_margin() -> None:
     imposed = synthesise(paper_plant(), W1, STRUCTURES["pid-2dof"], specifications=limits)
     one_degree = synthesise(paper_plant(), W1, STRUCTURES["pid"], specifications=limits)
     assert aimed.eps == pytest.approx(free.eps, abs=1e-5)
-    loops = Loops(
+    loops = ClosedLoops(
         paper_plant().transfer_function(), STRUCTURES["pid-2dof"].controller(np.array([aimed.values]))
     )
     assert violations(limits, loops)[0] == 0.0
@@ -154,7 +155,7 @@ def test_setpoint_weights_meet_what_they_can_at_no_cost_of_margin() -> None:
 
 
 def test_infeasible_specifications() -> None:
-    with pytest.raises(InfeasibleError, match=r"(?s)no controller in its box.*settling_s .*\(<= 0.01"):
+    with pytest.raises(InfeasibleError, match=r"(?s)no controller within the.*settling_s .*\(<= 0.01"):
         synthesise(
             paper_plant(),
             W1,
@@ -167,7 +168,7 @@ def test_infeasible_specifications() -> None:
 def test_a_structure_that_cannot_stabilise_the_plant() -> None:
     # A double integrator under P control stays on the axis at best, with an unstable pole it never settles.
     runaway = plant([1.0], [1.0, -1.0, 0.0])
-    with pytest.raises(NotStabilisedError, match=r"no Proportional in its box stabilises.*Re s ="):
+    with pytest.raises(NotStabilisedError, match=r"no Proportional within .* bounds stabilises.*Re s ="):
         synthesise(runaway, W1, STRUCTURES["p"], evaluations=300)
     assert issubclass(NotStabilisedError, DesignError)
 

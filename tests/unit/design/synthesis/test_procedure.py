@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 from support.designs import HEAVIER, REVERSED, continuous_design, sampled_design
 
+from design.closed_loop.comparison import delay_text
 from design.errors import DesignError, InfeasibleError
-from design.models.plant import Plant, Sampling, paper_plant
+from design.models.plant import Plant, paper_plant
+from design.models.sampling import Sampling, zero_order_hold
 from design.output.advice import hints, warnings
 from design.robustness import margins
 from design.search.searcher import Progress
@@ -82,7 +85,7 @@ def test_must_meet_specifications_binds_the_designed_loop() -> None:
 
 def test_specifications_that_the_structure_cannot_meet_are_infeasible() -> None:
     text = SHORT + '[controller]\nstructure = "p"\nmust_meet_specifications = true\n'
-    with pytest.raises(InfeasibleError, match=r"(?s)no controller in its box .* error .* NOT met"):
+    with pytest.raises(InfeasibleError, match=r"(?s)no controller within the .* error .* NOT met"):
         design_controller(read_design(text, "d.toml"), paper_plant())
 
 
@@ -127,6 +130,32 @@ def test_a_search_that_stops_too_early_is_told() -> None:
     (hint,) = hints(design_controller(few, paper_plant()))
     assert hint.startswith("the search of the controller was still gaining when its 2500 evaluations")
     assert hints(continuous_design()) == []
+
+
+def test_a_dead_time_is_designed_for_in_the_sampled_loop() -> None:
+    """A dead time of 1.5 periods costs margin; the model's own file warns, and the design repeats it."""
+    late = msgspec.structs.replace(
+        paper_plant(), name="late", dead_time_s=0.0168, warnings=["identified with little excitation"]
+    )
+    design, without = design_controller(read_design(SHORT, "d.toml"), late), sampled_design()
+    assert 0.3 < design.problem.eps_opt < without.problem.eps_opt - 0.01
+    G = zero_order_hold(late.rational_part, 0.0112, 2.5 * 0.0112)
+    margin = margins.stability_margin(G, design.designed.controller.feedback, design.weight.weight)[0]
+    assert design.eps == pytest.approx(margin, abs=1e-12)
+    assert np.isnan(design.measures[0].eps_continuous)
+    assert hints(design)[0] == "plant late: identified with little excitation"
+    assert delay_text(design.problem.rig_sampling, late) == "1 sample of delay, 0.0168 s of dead time"
+    with pytest.raises(DesignError, match=r"dead time of 0\.0168 s, which a continuous loop cannot"):
+        design_controller(read_design('[loop]\ndesign = "continuous"\n' + SHORT, "d.toml"), late)
+
+
+def test_the_rigs_delay_in_a_model_is_not_counted_twice() -> None:
+    through_the_rig = msgspec.structs.replace(paper_plant(), dead_time_s=0.0112, contains_delay_samples=1)
+    one, other = (
+        design_controller(read_design(SHORT, "d.toml"), plant) for plant in (paper_plant(), through_the_rig)
+    )
+    assert one.synthesis.parameters == other.synthesis.parameters
+    assert one.measures == other.measures
 
 
 def test_plants_that_move_opposite_ways_are_named() -> None:

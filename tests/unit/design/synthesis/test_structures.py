@@ -12,11 +12,13 @@ from design.errors import DesignError
 from design.mathematics import polynomials as poly
 from design.mathematics.polynomials import Array
 from design.models.controller import controller_of_law
-from design.models.plant import Sampling, TransferFunction, paper_plant
+from design.models.plant import paper_plant
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.robustness.central_controller import central_controllers
 from design.robustness.loop_shaping import shaped
 from design.robustness.margins import stability_margin
-from design.search.boxes import Parameter
+from design.search.bounds import Parameter
 from design.synthesis.structures import (
     STRUCTURES,
     Controller,
@@ -24,7 +26,7 @@ from design.synthesis.structures import (
     IntegralWeight,
     Structure,
     TustinLaw,
-    of_error,
+    one_degree_of_freedom,
     setpoint_parameters,
     tustin_law,
 )
@@ -94,7 +96,7 @@ def test_a_law_of_slow_poles_keeps_its_margin() -> None:
 
 def test_a_loop_shaping_controller_keeps_its_digits_as_a_law() -> None:
     K_inf, _ = central_controllers(shaped(G, W1))
-    K = of_error(poly.multiply(W1.num, K_inf.num), poly.multiply(W1.den, K_inf.den))
+    K = one_degree_of_freedom(poly.multiply(W1.num, K_inf.num), poly.multiply(W1.den, K_inf.den))
     law = tustin_law(K, PERIOD_S)
     assert isinstance(law, StateSpaceLaw)
     running = controller_of_law(law, PERIOD_S)
@@ -123,7 +125,7 @@ def test_a_users_structure_is_a_small_class() -> None:
         def controller(self, values: Array) -> Controller:
             ki, tau = values.T
             one = np.ones_like(ki)
-            return of_error(ki[:, None], np.stack([tau, one, 0.0 * one], axis=-1))
+            return one_degree_of_freedom(ki[:, None], np.stack([tau, one, 0.0 * one], axis=-1))
 
     mine = FilteredIntegral()
     assert isinstance(mine, Structure)

@@ -10,8 +10,9 @@ from support.paper_loop import PERIOD_S, W1
 
 from design.closed_loop.specifications import PAPER, Specification
 from design.errors import InfeasibleError
-from design.models.plant import Plant, Sampling, paper_plant
-from design.search.boxes import Parameter, with_boxes
+from design.models.plant import Plant, paper_plant
+from design.models.sampling import Sampling
+from design.search.bounds import Parameter, with_bounds
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.genetic_algorithm import GeneticAlgorithm
 from design.synthesis.structures import IntegralWeight
@@ -38,7 +39,7 @@ def test_the_optimum_of_equation_8(seed: int) -> None:
     assert weight.parameters["a"] == pytest.approx(0.4312, rel=2e-3)
     assert weight.search.evaluations <= 2000
     assert weight.compatible
-    assert weight.at_walls == ()
+    assert weight.at_bounds == ()
     values = {reading.quantity: reading for reading in weight.readings}
     assert all(reading.met for reading in weight.readings)
     # Both limits of the shape bind.
@@ -51,7 +52,7 @@ def test_the_papers_searcher_comes_near() -> None:
     linear = {p.name: Parameter(p.name, p.low, p.high, "linear") for p in box}
     found = select_weight(
         paper_plant(),
-        structure=with_boxes(IntegralWeight(), linear),
+        structure=with_bounds(IntegralWeight(), linear),
         searcher=partial(GeneticAlgorithm, seed=3, population=100, generations=20),
     )
     assert 0.55 < found.eps_opt <= 0.60358
@@ -64,7 +65,7 @@ def test_the_papers_own_weight_is_inside() -> None:
         "kw": Parameter("kw", 15.535, 15.535001),
         "a": Parameter("a", 6.83 / 15.535, 6.83 / 15.535 + 1e-9),
     }
-    weight = select_weight(paper_plant(), structure=with_boxes(IntegralWeight(), around), evaluations=80)
+    weight = select_weight(paper_plant(), structure=with_bounds(IntegralWeight(), around), evaluations=80)
     assert weight.eps_opt == pytest.approx(0.601487, abs=1e-6)
     np.testing.assert_allclose(weight.weight.num, W1.num, rtol=1e-6)
 
@@ -116,5 +117,5 @@ def test_infeasible_specifications_are_named_at_the_best_compromise() -> None:
 
 
 def test_a_parameter_at_its_wall_is_told() -> None:
-    narrow = with_boxes(IntegralWeight(), {"kw": Parameter("kw", 15.5, 30.0)})
-    assert select_weight(paper_plant(), structure=narrow, evaluations=1200).at_walls == ("kw",)
+    narrow = with_bounds(IntegralWeight(), {"kw": Parameter("kw", 15.5, 30.0)})
+    assert select_weight(paper_plant(), structure=narrow, evaluations=1200).at_bounds == ("kw",)

@@ -1,4 +1,4 @@
-"""Loops that a window of fixed length misreads: slow, hidden, ringing; and what cannot be told."""
+"""Step responses that a window of fixed length would misread: slow, hidden and ringing ones."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ import scipy.signal
 from support.given_responses import ONE, Modes, both, continuous_loop, readings, sampled_loop
 from support.paper_loop import PERIOD_S
 
-from design.closed_loop.loops import Loops
+from design.closed_loop.loops import ClosedLoops
 from design.closed_loop.specifications import PAPER, Specification, violations
 from design.closed_loop.specifications import readings as specified
-from design.models.controller import of_error
-from design.models.plant import Plant, Sampling, TransferFunction
+from design.models.controller import one_degree_of_freedom
+from design.models.plant import Plant
+from design.models.sampling import Sampling
+from design.models.transfer_function import TransferFunction
 from design.synthesis.structures import STRUCTURES, IntegralWeight
 
 FAST = (-1.0 + 0.0j, -1.0 + 0.0j)
-# Each within 2 % of 1 after a few seconds, for all that a window of ten seconds shows.
+# In a window of ten seconds, each of these seems to have settled within 2 % of 1.
 LEAVES_LATER: dict[str, Modes] = {
     "overshoots after 200 s": [(-0.01 + 0.0j, -10.0 + 0.0j), (-0.0095 + 0.0j, 9.0 + 0.0j)],
     "comes back out of the band": [FAST, (-1e-3 + 0.0j, 1.0 + 0.0j), (-1.1e-3 + 0.0j, -1.0 + 0.0j)],
@@ -28,7 +30,7 @@ LEAVES_LATER: dict[str, Modes] = {
 
 @pytest.mark.parametrize("name", LEAVES_LATER)
 @pytest.mark.parametrize("period_s", [None, PERIOD_S])
-def test_what_comes_later_is_read(name: str, period_s: float | None) -> None:
+def test_late_motions_are_read(name: str, period_s: float | None) -> None:
     modes = LEAVES_LATER[name]
     loops = continuous_loop(modes) if period_s is None else sampled_loop(modes, period_s)
     true = readings(modes, period_s)
@@ -40,13 +42,13 @@ def test_what_comes_later_is_read(name: str, period_s: float | None) -> None:
 
 @pytest.mark.parametrize("damping", [0.1, 0.01, 1e-3])
 @pytest.mark.parametrize("omega", [0.5, 40.0, 900.0])
-def test_ringing_is_resolved_however_long_it_lasts(omega: float, damping: float) -> None:
-    """w²/(s² + 2 z w s + w²), from z of 0.1 to one that rings for thousands of periods."""
+def test_ringing_is_resolved_whatever_its_duration(omega: float, damping: float) -> None:
+    """The loop is w²/(s² + 2 z w s + w²); with z = 0.001 it rings for a thousand periods."""
     G = TransferFunction(np.array([omega**2]), np.array([1.0, 2.0 * damping * omega, 0.0]))
-    loops = Loops(G, ONE)
+    loops = ClosedLoops(G, ONE)
     root = np.sqrt(1.0 - damping**2)
     assert loops.overshoot[0] == pytest.approx(np.exp(-np.pi * damping / root), abs=2e-4)
-    # The last peak outside of the band is the last whose envelope exp(-z w t) is.
+    # A peak lies outside the band as long as the envelope exp(-z w t) does.
     peaks_s = np.pi / (omega * root) * np.arange(1, 20_000)
     last_s = peaks_s[np.exp(-damping * omega * peaks_s) > 0.02][-1]
     assert last_s < loops.settling_s[0] < last_s + np.pi / (omega * root)
@@ -56,8 +58,8 @@ def test_ringing_is_resolved_however_long_it_lasts(omega: float, damping: float)
     assert loops.settling_s[0] == pytest.approx(left_s, abs=2e-3 * np.pi / omega)
 
 
-def test_a_ringing_hidden_between_the_samples_of_a_window_is_found() -> None:
-    """At 512 samples in 6 s it shows the same phase at each."""
+def test_ringing_between_the_samples_of_a_window_is_found() -> None:
+    """With 512 samples in 6 s, the mode has the same phase at every sample."""
     omega = 2.0 * np.pi * 511.0 / 6.0
     modes: Modes = [(-2.0 + 0.0j, -1.0 + 0.0j), (complex(-0.5, omega), 0.25j)]
     loops, true = continuous_loop(modes), readings(modes)
@@ -66,9 +68,9 @@ def test_a_ringing_hidden_between_the_samples_of_a_window_is_found() -> None:
     assert loops.settling_s[0] == pytest.approx(true.settling_s, abs=0.01)
 
 
-def test_what_rings_too_long_to_be_followed_has_no_settling_time() -> None:
+def test_a_loop_that_rings_too_long_has_no_settling_time() -> None:
     G = TransferFunction(np.array([1e4]), np.array([1.0, 2e-5, 0.0]))
-    loops = Loops(G, ONE)
+    loops = ClosedLoops(G, ONE)
     assert loops.stable[0]
     assert loops.settling_s[0] == np.inf
     assert loops.overshoot[0] == pytest.approx(1.0, abs=1e-3)
@@ -77,9 +79,9 @@ def test_what_rings_too_long_to_be_followed_has_no_settling_time() -> None:
 
 
 def test_repeated_poles() -> None:
-    """(s + 1)^-6 and, in the sampled loop, a delay of twenty samples."""
+    """The loops are (s + 1)^-6 and a sampled integrator behind twenty samples of delay."""
     den = np.poly(-np.ones(6))
-    loops = Loops(TransferFunction(np.ones(1), np.polysub(den, [1.0])), ONE)
+    loops = ClosedLoops(TransferFunction(np.ones(1), np.polysub(den, [1.0])), ONE)
     t = np.linspace(0.0, 30.0, 300_001)
     _, y = scipy.signal.step(([1.0], den), T=t)
     assert loops.settling_s[0] == pytest.approx(t[np.flatnonzero(np.abs(y - 1.0) > 0.02)[-1]], rel=1e-3)
@@ -88,40 +90,42 @@ def test_repeated_poles() -> None:
     plant = Plant(
         format="hil-plant", version=1, name="p", input_unit="V", output_unit="m", num=[1.0], den=[1.0, 0.0]
     )
-    loops = Loops(
-        plant.transfer_function(sampling), of_error(np.array([[1.0]]), np.array([[1.0]])), sampling=sampling
+    loops = ClosedLoops(
+        plant.transfer_function(sampling),
+        one_degree_of_freedom(np.array([[1.0]]), np.array([[1.0]])),
+        sampling=sampling,
     )
     y = np.zeros(2000)
     for k in range(len(y) - 1):
         y[k + 1] = y[k] + PERIOD_S * (1.0 - y[k - 20] if k >= 20 else 0.0)
-    # A delay of twenty samples is between measurement and valve: 1 - y of twenty samples ago, the step too.
+    # The delay lies between measurement and valve, so that the step too acts twenty samples late.
     settled_s = PERIOD_S * np.flatnonzero(np.abs(y - 1.0) > 0.02)[-1]
     assert loops.settling_s[0] == pytest.approx(settled_s, abs=1.01 * PERIOD_S)
 
 
-def test_a_batch_is_its_loops() -> None:
-    """Fast, slow and ringing ones together: none depends on its neighbours."""
+def test_no_loop_depends_on_the_others_of_its_batch() -> None:
+    """The batch holds fast, slow and ringing loops."""
     G = TransferFunction(np.array([1.0]), np.array([1.0, 0.02, 4.0, 0.001]))
     values = np.array([[0.01, 0.001], [0.05, 0.01], [1e-4, 1e-4], [0.02, 0.02]])
-    together = Loops(G, STRUCTURES["pi"].controller(values))
+    together = ClosedLoops(G, STRUCTURES["pi"].controller(values))
     assert together.stable.all()
     for i, row in enumerate(values):
-        alone = Loops(G, STRUCTURES["pi"].controller(row[None, :]))
+        alone = ClosedLoops(G, STRUCTURES["pi"].controller(row[None, :]))
         for quantity in ("overshoot", "settling_s", "rise_s", "effort"):
             one, of_many = getattr(alone, quantity)[0], getattr(together, quantity)[i]
             assert of_many == pytest.approx(one, rel=1e-9), quantity
 
 
 def test_effort_that_grows_slowly() -> None:
-    """u of an integrating controller on a slow plant goes to 1/G(0), long after the start."""
+    """With an integrating controller on a slow plant, u approaches 1/G(0) long after the step."""
     G = TransferFunction(np.array([0.001]), np.array([1.0, 0.001]))
-    loops = Loops(G, STRUCTURES["pi"].controller(np.array([[0.2, 1e-5]])))
+    loops = ClosedLoops(G, STRUCTURES["pi"].controller(np.array([[0.2, 1e-5]])))
     assert loops.response(6.0).u[0].max() < 0.21
     assert loops.effort[0] == pytest.approx(1.0, rel=1e-4)
 
 
-def test_specifications_are_not_met_by_what_a_window_does_not_show() -> None:
-    """A near-integral weight around a plant with a hidden slow pole: the search must see the tail."""
+def test_specifications_include_the_slow_tail_of_a_response() -> None:
+    """A nearly cancelled slow pole moves the response out of the band long after the step."""
     loops = continuous_loop(LEAVES_LATER["hidden slow pole"])
     asked = [Specification("settling_s", 5.0), Specification("overshoot", 0.02)]
     assert [reading.met for reading in specified(asked, loops)] == [False, False]
@@ -131,10 +135,10 @@ def test_specifications_are_not_met_by_what_a_window_does_not_show() -> None:
 
 @pytest.mark.parametrize("b", [1e-3, 1e-6])
 def test_final_value_and_settling_with_a_near_integrator(b: float) -> None:
-    """The weight's slow pole b stays in the loop nearly cancelled; it is followed to the end."""
+    """The weight's slow pole b remains in the loop, nearly cancelled; the response is followed to its end."""
     G = TransferFunction(np.array([5.0]), np.array([1.0, 5.0]))
     W = IntegralWeight(b).controller(np.array([[0.05, 0.02]]))
-    loops = Loops(G, W)
+    loops = ClosedLoops(G, W)
     poles = np.roots(loops.closed[0])
     assert loops.error[0] == pytest.approx(1.0 / (1.0 + 0.05 * 0.02 / b))
     final = 1.0 - loops.error[0]
@@ -146,11 +150,11 @@ def test_final_value_and_settling_with_a_near_integrator(b: float) -> None:
 
 
 @pytest.mark.parametrize("excess", [-1e-3, -1e-5, 1e-5, 1e-3])
-def test_a_late_peak_that_touches_the_band_is_outside(excess: float) -> None:
-    """Within 2e-4 of the band's edge the later reading is given: never one that is too early."""
+def test_a_late_peak_that_touches_the_band_counts_as_outside(excess: float) -> None:
+    """Within 2e-4 of the edge of the band, the settling time is the later of both possible ones."""
     zeta, omega = 0.3, 2.0
     root = np.sqrt(1.0 - zeta**2)
-    # The second peak of a response 1 + scale * (ringing) + rest lies at 2 % of it, but for the excess.
+    # The second peak of the response 1 + scale * ringing + rest lies at 2 % of it, apart from the excess.
     peak_s = 2.0 * np.pi / (omega * root)
     height = np.exp(-zeta * omega * peak_s)
     ringing = (complex(-zeta * omega, omega * root), complex(1.0, -zeta / root))
