@@ -11,10 +11,13 @@ import math
 from collections.abc import Mapping, Sequence
 
 from hil.core.control_law import ControlLaw
+from hil.core.excitation import samples
+from hil.core.excited_loop import ExcitedLoop, Fence, Phase
+from hil.core.experiment import Experiment
 from hil.core.frames import Frame
 from hil.core.output import AxisSignals
 from hil.core.rig import Rig
-from hil.core.setpoints import Setpoint
+from hil.core.setpoints import HOLD, Setpoint
 from hil.core.valve_commands import ValveCommands
 
 
@@ -31,6 +34,67 @@ class AxisLoop:
         self.position = axis.potentiometer.position
         self.signals = AxisSignals(math.nan, math.nan, math.nan, 0.0, axis.valve.centre_v, math.nan)
 
+    @property
+    def phase(self) -> Phase:
+        """Phase of the experiment in which this axis is excited."""
+        return Phase.NONE
+
+    def begin(self, t: float, y: float) -> None:
+        """Take over without a bump, at position ``y`` and time ``t``, with the valve at its centre."""
+        self.law.initialise(self.setpoint(t), y, 0.0)
+
+    def output(self, t: float, y: float) -> tuple[float, float]:
+        """Return setpoint r, and valve voltage u relative to the valve's centre, for the sample ``y``."""
+        r = self.setpoint(t)
+        return r, self.law.output(r, y)
+
+    def advance(self, u_applied: float) -> None:
+        """Take the voltage that the limits let through, relative to the valve's centre."""
+        self.law.advance(u_applied)
+
+
+class HoldingLoop(AxisLoop):
+    """An axis whose setpoint is the position at which it was when control began."""
+
+    __slots__ = ()
+
+    def begin(self, t: float, y: float) -> None:
+        """Take over without a bump, and keep the position ``y``."""
+        self.setpoint = lambda _t: y
+        super().begin(t, y)
+
+
+class ExcitedAxis(AxisLoop):
+    """The axis that an experiment excites."""
+
+    __slots__ = ("excited",)
+
+    def __init__(
+        self, rig: Rig, name: str, law: ControlLaw, setpoint: Setpoint, experiment: Experiment
+    ) -> None:
+        super().__init__(rig, name, law, setpoint)
+        axis = rig.axes[name]
+        fence = Fence(*axis.fence_limits)
+        values = samples(experiment.signal, rig.loop.period_s).tolist()
+        self.excited = ExcitedLoop(law, experiment, values, fence)
+
+    @property
+    def phase(self) -> Phase:
+        """Phase of the experiment."""
+        return self.excited.phase
+
+    def begin(self, t: float, y: float) -> None:
+        """Begin the experiment at position ``y``."""
+        self.excited.begin(t, y)
+
+    def output(self, t: float, y: float) -> tuple[float, float]:
+        """Return setpoint r, and valve voltage u relative to the valve's centre, for the sample ``y``."""
+        return self.excited.output(t, y)
+
+    def advance(self, u_applied: float) -> None:
+        """Take the voltage that the limits let through, relative to the valve's centre."""
+        self.excited.advance(u_applied)
+
 
 class AxisLoops:
     """The loops of all axes, in the order of the rig file.
@@ -38,8 +102,17 @@ class AxisLoops:
     ``laws`` and ``setpoints`` are given by axis name. Voltages are in volts, times in monotonic nanoseconds.
     """
 
-    def __init__(self, rig: Rig, laws: Mapping[str, ControlLaw], setpoints: Mapping[str, Setpoint]) -> None:
-        self._axes = tuple(AxisLoop(rig, name, laws[name], setpoints[name]) for name in rig.axes)
+    def __init__(
+        self,
+        rig: Rig,
+        laws: Mapping[str, ControlLaw],
+        setpoints: Mapping[str, Setpoint],
+        experiment: Experiment | None = None,
+    ) -> None:
+        self._axes = tuple(
+            _axis_loop(rig, name, laws[name], setpoints[name], experiment) for name in rig.axes
+        )
+        self._excited = next((axis.excited for axis in self._axes if isinstance(axis, ExcitedAxis)), None)
         self._valves = ValveCommands(
             [axis.valve for axis in rig.axes.values()], rig.loop.period_s, rig.dac.protected
         )
@@ -52,6 +125,11 @@ class AxisLoops:
     def signals(self) -> tuple[AxisSignals, ...]:
         """Last signals of every axis."""
         return tuple([axis.signals for axis in self._axes])
+
+    @property
+    def experiment(self) -> ExcitedLoop | None:
+        """The loop that an experiment excites, or None if the run is no experiment."""
+        return self._excited
 
     def restart(self) -> None:
         """Begin at t = 0 with the next controlled period. Every control law then starts without a bump."""
@@ -73,14 +151,14 @@ class AxisLoops:
         self._valves.set_change_time(self._elapsed_s(now_ns))
         self._last_command_ns = now_ns
         for index, (axis, measured_v) in enumerate(zip(self._axes, volts, strict=True)):
-            r, y = axis.setpoint(t), axis.position(measured_v)
+            y = axis.position(measured_v)
             if is_first:
-                axis.law.initialise(r, y, 0.0)
-            u = axis.law.output(r, y)
+                axis.begin(t, y)
+            r, u = axis.output(t, y)
             is_finite = math.isfinite(u)
             if is_finite:
-                axis.law.advance(self._valves.command(index, u))
-            axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured_v)
+                axis.advance(self._valves.command(index, u))
+            axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured_v, axis.phase)
             if not is_finite:
                 return axis
         return None
@@ -107,3 +185,12 @@ class AxisLoops:
         if self._last_command_ns is None:
             return self._period_s
         return (now_ns - self._last_command_ns) / 1e9
+
+
+def _axis_loop(
+    rig: Rig, name: str, law: ControlLaw, setpoint: Setpoint, experiment: Experiment | None
+) -> AxisLoop:
+    if experiment is not None and experiment.axis == name:
+        return ExcitedAxis(rig, name, law, setpoint, experiment)
+    kind = HoldingLoop if setpoint.text == HOLD else AxisLoop
+    return kind(rig, name, law, setpoint)

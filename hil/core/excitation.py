@@ -35,6 +35,8 @@ Array: TypeAlias = NDArray[np.float64]
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=2**32)]
 
+DECIMALS = 9
+"""Digits of a value after the decimal point."""
 MAX_SAMPLES = 2_000_000
 """Longest excitation in periods: six hours at 0.0112 s."""
 
@@ -119,7 +121,7 @@ def samples(signal: Signal, period_s: float) -> Array:
             values = pattern[(np.arange(n) * period_s / signal.hold_s + 1e-9).astype(int) % 4]
         case Table():
             values = _table(signal, period_s)
-    return values
+    return np.round(values, DECIMALS)  # a replay on another machine must get the same values
 
 
 class SpectrumSummary(NamedTuple):

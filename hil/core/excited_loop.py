@@ -24,15 +24,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Annotated, ClassVar, Literal, NamedTuple
-
-import msgspec
+from typing import NamedTuple
 
 from hil.core.control_law import ControlLaw
-from hil.core.documents import Document
-from hil.core.excitation import MAX_SAMPLES, Signal
-
-Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=600.0)]
+from hil.core.experiment import Experiment
 
 
 class Phase(IntEnum):
@@ -45,23 +40,6 @@ class Phase(IntEnum):
     RECOVER = 4
     RETURN = 5
     DONE = 6
-
-
-class Experiment(Document, frozen=True):
-    """One identification experiment, as it stands in the recording (``experiment.json``)."""
-
-    max_entries: ClassVar[int] = MAX_SAMPLES  # of an excitation from a table
-    format: Literal["hil-experiment"]
-    version: Literal[1]
-    axis: str
-    mode: Literal["open loop", "controller output", "setpoint"]
-    signal: Signal
-    centre: float = 0.0
-    """Position about which the axis is excited, in the axis' unit."""
-    approach_s: Seconds = 3.0
-    """Time of the path to the centre, at the beginning, after the fence has acted, and at the end."""
-    settle_s: Seconds = 4.0
-    """Time at rest in the centre before the excitation begins or goes on."""
 
 
 class Fence(NamedTuple):

@@ -23,6 +23,8 @@ from hil.core.axis_loops import AxisLoops
 from hil.core.board_supervision import BoardSupervision
 from hil.core.board_watch import NmtState
 from hil.core.control_law import ControlLaw
+from hil.core.excited_loop import ExcitedLoop
+from hil.core.experiment import Experiment
 from hil.core.foreign_frames import ForeignFrames, Intrusion, UnknownFrame
 from hil.core.frames import Frame
 from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger
@@ -54,11 +56,13 @@ class Gateway:
         laws: Mapping[str, ControlLaw],
         setpoints: Mapping[str, Setpoint],
         first_deadline_ns: int,
+        experiment: Experiment | None = None,
     ) -> None:
+        """``experiment`` excites one axis in state running, in place of its setpoint."""
         self._stale_limit = rig.adc.stale_after_periods
         self._heartbeat_periods = rig.heartbeat_periods
         self._clock = PeriodClock(rig.loop.period_ns, first_deadline_ns)
-        self._loops = AxisLoops(rig, laws, setpoints)
+        self._loops = AxisLoops(rig, laws, setpoints, experiment)
         self._guard = SampleGuard(rig)
         self._throttle = LogThrottle()
         self._rejections = Rejections(self._throttle)
@@ -101,6 +105,11 @@ class Gateway:
     def rejected_frames(self) -> int:
         """Number of samples, heartbeats and emergency messages that were rejected."""
         return self._rejections.count
+
+    @property
+    def experiment(self) -> ExcitedLoop | None:
+        """The loop that an experiment excites, or None if the run is no experiment."""
+        return self._loops.experiment
 
     @property
     def readiness(self) -> str:
@@ -257,7 +266,7 @@ class Gateway:
         failed = self._loops.control(volts, self._clock.deadline_ns, now_ns)
         if failed is None:
             return Output((self._loops.command(),), cycle=self._cycle(now_ns, True))
-        r, y, _, u, _, _ = failed.signals
+        r, y, u = failed.signals.setpoint, failed.signals.position, failed.signals.output_v
         fault = self._state.fault(failed.name, f"control law gave {u} V at setpoint {r:g}, position {y:g}")
         return combine(fault, Output(cycle=self._cycle(now_ns, True)))
 

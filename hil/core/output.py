@@ -46,6 +46,8 @@ class AxisSignals(NamedTuple):
     """Commanded valve voltage in volts, after the limits and before quantisation: centre + limited u."""
     potentiometer_v: float
     """Potentiometer voltage in volts that the position was computed from."""
+    phase: int = 0
+    """``excited_loop.Phase`` of the experiment on this axis; 0 for an axis that is not excited."""
 
 
 class Cycle(NamedTuple):

@@ -126,6 +126,21 @@ class AxisSettings(Document, frozen=True):
     """Largest setpoint that is accepted, in the axis' unit."""
     potentiometer: Potentiometer
     valve: Valve
+    fence_min_y: float | None = None
+    """Travel fence: an excited axis under this position goes back under its controller.
+
+    The default is a tenth of the range above ``min_y``.
+    """
+    fence_max_y: float | None = None
+    """Travel fence: the same above this position. The default is a tenth of the range under ``max_y``."""
+
+    @property
+    def fence_limits(self) -> tuple[float, float]:
+        """Lowest and highest position within the travel fence, in the axis' unit."""
+        margin = 0.1 * (self.max_y - self.min_y)
+        low = self.min_y + margin if self.fence_min_y is None else self.fence_min_y
+        high = self.max_y - margin if self.fence_max_y is None else self.fence_max_y
+        return low, high
 
 
 class Rig(Document, frozen=True):
@@ -253,6 +268,12 @@ def _check_axis(axis: AxisSettings, where: str) -> None:
         raise DocumentError(f"{where}.potentiometer: y_at_0v and y_at_10v are both {pot.y_at_0v}")
     if not axis.min_y < axis.max_y:
         raise DocumentError(f"{where}: min_y {axis.min_y} is not under max_y {axis.max_y}")
+    low, high = axis.fence_limits
+    if not axis.min_y <= low < high <= axis.max_y:
+        raise DocumentError(
+            f"{where}: fence_min_y {low:g} and fence_max_y {high:g} {axis.unit} must lie in this order "
+            f"between min_y {axis.min_y:g} and max_y {axis.max_y:g} {axis.unit}"
+        )
     for key in ("min_y", "max_y"):
         volts = pot.volts(getattr(axis, key))
         if not pot.min_v <= volts <= pot.max_v:

@@ -32,9 +32,12 @@ FORMS = {
     "minimum-jerk": "minimum-jerk:SIZE@TIME/DURATION",
     "sine": "sine:AMPLITUDE@TIME/PERIOD",
     "csv": "csv:FILE",
+    "hold": "hold",
 }
 """How each kind of setpoint is written."""
 EXAMPLE = "step:0.1@1"
+HOLD = "hold"
+"""Setpoint of an axis that keeps the position at which it was when control began."""
 MIN_SPAN_S = 0.001
 """Shortest hold, ramp or sine period in seconds: the shortest period of a loop."""
 _NUMBER = r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|inf)"
@@ -73,6 +76,8 @@ def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
     file = csv_file(text)
     if file is not None:
         return _from_csv(text, csv_text, file)
+    if text == HOLD:
+        return Setpoint(text, lambda _t: 0.0, math.nan, math.nan)  # the loop puts its own position there
     match = _FORM.fullmatch(text)
     if match is None:
         raise SetpointError(_unreadable(text))

@@ -80,7 +80,8 @@ class RunPlan:
             return Trigger.STOP if gateway.state is LifeCycleState.RUNNING else None
         if self._started_at_period is None:
             return self._bring_up(gateway)
-        if self._periods - self._started_at_period > self._run_periods:
+        is_done = gateway.experiment is not None and gateway.experiment.is_done
+        if is_done or self._periods - self._started_at_period > self._run_periods:
             self.end(Ending.COMPLETED)
             return Trigger.STOP
         return None

@@ -14,6 +14,8 @@ from pathlib import Path
 from hil.core.control_law import ControlLaw, check_law_runs
 from hil.core.controller_file import ControllerFile, check_controller_fits, read_controller
 from hil.core.errors import DocumentError, SetpointError
+from hil.core.experiment import NAME as EXPERIMENT_NAME
+from hil.core.experiment import Experiment, read_experiment
 from hil.core.gateway import Gateway
 from hil.core.rig import Rig, read_rig
 from hil.core.setpoints import Setpoint, check_within, csv_file, parse_setpoint
@@ -41,10 +43,13 @@ class RunSetup:
     ``setpoints/<axis>.csv``.
     """
 
+    experiment: Experiment | None = None
+    """The experiment of this run (``experiment.json``), or None."""
+
     def gateway(self, first_deadline_ns: int) -> Gateway:
         """Return a new gateway core in state offline."""
         laws = {name: ControlLaw(c.law, c.sample_time_s) for name, c in self.controllers.items()}
-        return Gateway(self.rig, laws, self.setpoints, first_deadline_ns)
+        return Gateway(self.rig, laws, self.setpoints, first_deadline_ns, self.experiment)
 
     def digests(self) -> dict[str, str]:
         """Return the SHA-256 of every document, by its name."""
@@ -150,7 +155,8 @@ def setup_from_texts(
         except SetpointError as error:
             origin = sources.get(f"setpoints.{name}", f"setpoints.{name}")
             raise SetpointError(f"{origin}: {error}") from None
-    return RunSetup(rig, files, parsed, dict(texts))
+    experiment = read_experiment(texts[EXPERIMENT_NAME], rig) if EXPERIMENT_NAME in texts else None
+    return RunSetup(rig, files, parsed, dict(texts), experiment)
 
 
 def shipped_controllers() -> list[str]:

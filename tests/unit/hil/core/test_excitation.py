@@ -86,8 +86,8 @@ class TestMultisine:
         power = np.abs(np.fft.rfft(values[:once])) ** 2
         omega = 2 * np.pi * np.fft.rfftfreq(once, TS)
         inside = (omega >= 0.5) & (omega <= 30.0)
-        assert power[~inside].max() < 1e-20 * power.max()
-        assert power[inside].min() == pytest.approx(power.max(), rel=1e-9)
+        assert power[~inside].max() < 1e-12 * power.max()
+        assert power[inside].min() == pytest.approx(power.max(), rel=1e-6)
 
     def test_its_peak_is_the_amplitude_and_schroeder_phases_keep_the_crest_factor_low(self) -> None:
         found = summarise_spectrum(samples(self.SIGNAL, TS), TS)
