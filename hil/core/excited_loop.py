@@ -76,6 +76,29 @@ class ExcitedLoop:
         """True when the excitation has been given and the axis is back in its centre."""
         return self.phase is Phase.DONE
 
+    def describe(self) -> str:
+        """Return the present phase in words."""
+        axis, low, high = self._experiment.axis, self._fence.min_y, self._fence.max_y
+        match self.phase:
+            case Phase.APPROACH:
+                return f"{axis} moves to its centre, {self._experiment.centre:g}"
+            case Phase.SETTLE:
+                return f"{axis} settles"
+            case Phase.EXCITED:
+                given = f"{self._index} of {len(self._values)} values given"
+                return f"{axis} is excited, {given}; the valve stands still at {self.offset_v:+.3f} V"
+            case Phase.RECOVER:
+                return (
+                    f"{axis} is beyond its travel fence, {low:g} to {high:g} (rig: axes.{axis}.fence_min_y, "
+                    f"fence_max_y): its controller brings it back, crossing {self.fence_crossings}"
+                )
+            case Phase.RETURN:
+                return f"all {len(self._values)} values are given; {axis} returns to its centre"
+            case Phase.DONE:
+                return "the experiment is done"
+            case _:
+                return f"{axis} is not excited"
+
     def begin(self, t: float, y: float) -> None:
         """Take over at position ``y`` with the valve at its centre."""
         self._index = 0

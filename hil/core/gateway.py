@@ -23,7 +23,7 @@ from hil.core.axis_loops import AxisLoops
 from hil.core.board_supervision import BoardSupervision
 from hil.core.board_watch import NmtState
 from hil.core.control_law import ControlLaw
-from hil.core.excited_loop import ExcitedLoop
+from hil.core.excited_loop import ExcitedLoop, Phase
 from hil.core.experiment import Experiment
 from hil.core.foreign_frames import ForeignFrames, Intrusion, UnknownFrame
 from hil.core.frames import Frame
@@ -80,6 +80,7 @@ class Gateway:
         self._has_sample = True
         """Whether a good sample has arrived in the present period."""
         self._stale_periods = 0
+        self._reported_phase = Phase.NONE
 
     @property
     def state(self) -> LifeCycleState:
@@ -265,10 +266,20 @@ class Gateway:
     def _control(self, volts: Sequence[float], now_ns: int) -> Output:
         failed = self._loops.control(volts, self._clock.deadline_ns, now_ns)
         if failed is None:
-            return Output((self._loops.command(),), cycle=self._cycle(now_ns, True))
+            commands = Output((self._loops.command(),), cycle=self._cycle(now_ns, True))
+            return commands if self.experiment is None else combine(commands, self._report_phase())
         r, y, u = failed.signals.setpoint, failed.signals.position, failed.signals.output_v
         fault = self._state.fault(failed.name, f"control law gave {u} V at setpoint {r:g}, position {y:g}")
         return combine(fault, Output(cycle=self._cycle(now_ns, True)))
+
+    def _report_phase(self) -> Output:
+        """Report a new phase of the experiment, once."""
+        loop = self.experiment
+        if loop is None or loop.phase is self._reported_phase:
+            return NOTHING
+        self._reported_phase = loop.phase
+        severity = Severity.WARNING if loop.phase is Phase.RECOVER else Severity.INFO
+        return Output(log=(LogEntry(severity, "experiment", loop.describe()),))
 
     def _count_lost(self, samples: int) -> Output:
         self.lost_samples += samples
