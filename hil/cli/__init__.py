@@ -22,6 +22,7 @@ from hil.core.suggestions import did_you_mean
 
 COMMANDS = {
     "run": ("hil.cli.run", "run the controllers against the rig, and record the run"),
+    "collect": ("hil.cli.collect", "excite one axis and record it, as data for a plant model"),
     "replay": ("hil.cli.replay", "replay recordings, and compare the core's answers with them"),
     "rig": ("hil.cli.rig", "print, copy or check a rig file"),
     "vcan": ("hil.cli.vcan", "run a command where the CAN interface vcan0 exists"),

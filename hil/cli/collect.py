@@ -23,9 +23,9 @@ from hil.cli.run import by_axis, duration_argument
 from hil.core.documents import to_json
 from hil.core.errors import DocumentError, HilError
 from hil.core.excitation import KINDS, Signal, read_table, samples
-from hil.core.excited_loop import Phase
 from hil.core.experiment import NAME as EXPERIMENT_NAME
 from hil.core.experiment import Experiment, read_experiment
+from hil.core.phase import Phase
 from hil.core.rig import Rig
 from hil.core.setpoints import HOLD
 from hil.core.suggestions import did_you_mean
@@ -41,8 +41,9 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Excite one axis and record it, as data for `hil identify`. The axis is first brought to its centre by its
-controller, and the valve voltage at which it stands still is measured. The other axes are held where they are.
-Exit status: 0 if the whole excitation was given and recorded, 1 if not, 2 if the arguments or files are wrong."""
+controller, and the valve voltage at which it stands still is measured. The other axes are held where they
+are. Exit status: 0 if the whole excitation was given and recorded, 1 if not, 2 if the arguments or files are
+wrong."""
 EPILOG = """\
 excitations, with the options that belong to each:
   prbs       --amplitude --duration --clock --levels --seed   pseudo-random sequence of 2, 3, 5 or 7 levels
@@ -52,8 +53,8 @@ excitations, with the options that belong to each:
   csv:FILE   columns time_s,value                             each value held until the next row
 Amplitudes are in V about the valve's centre, or in the axis' unit with --excite setpoint.
 
-A position beyond the travel fence (rig file: fence_min_y, fence_max_y) takes the axis back under its controller.
-The excitation goes on when the axis is back in the centre.
+A position beyond the travel fence (rig file: fence_min_y, fence_max_y) takes the axis back under its
+controller. The excitation goes on when the axis is back in the centre.
 """
 FIELDS = {
     "amplitude": "amplitude",
@@ -92,12 +93,7 @@ class Collected:
 
 def parser() -> CommandParser:
     """Return the parser of the arguments of ``hil collect``."""
-    command = CommandParser(
-        prog="hil collect",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    command = CommandParser(prog="hil collect", description=DESCRIPTION, epilog=EPILOG)
     command.add_argument("--axis", required=True, metavar="AXIS", help="axis to excite")
     command.add_argument("--excitation", default="prbs", metavar="KIND", help="see below (default prbs)")
     command.add_argument("--amplitude", type=float, metavar="V", help="largest deviation (default 0.4)")
@@ -148,7 +144,7 @@ def parser() -> CommandParser:
 
 
 def main(argv: list[str]) -> int:
-    """Run ``hil collect`` with ``argv``; return its exit status. Raises HilError for wrong arguments or files."""
+    """Run ``hil collect`` with ``argv``; return its exit status. Raises HilError for wrong input."""
     from rich.console import Console
 
     from hil.views.excitation_summary import excitation_summary, loop_crossover

@@ -171,7 +171,9 @@ def _host_versions() -> dict[str, str]:
 
 
 def _ending(plan: RunPlan, gateway: Gateway) -> dict[str, str]:
-    return {
+    loop = gateway.experiment
+    experiment = {} if loop is None else loop.outcome()
+    return experiment | {
         "reason": str(plan.ending),
         "duration asked for, s": f"{plan.duration_s:g}",
         "fault": gateway.fault_reason or "",

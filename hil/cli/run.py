@@ -74,7 +74,7 @@ def parser() -> CommandParser:
     )
     command.add_argument(
         "--duration",
-        type=_duration,
+        type=duration_argument,
         metavar="S",
         help=f"seconds of control (default {DEFAULT_DURATION_S:g}, or the scenario's)",
     )
@@ -171,8 +171,8 @@ def _scenario(options: argparse.Namespace) -> tuple[Scenario | None, str]:
 
 def _setup(options: argparse.Namespace, scenario: Scenario | None, scenario_text: str) -> RunSetup:
     """Read the setup of the run. Options win over the scenario, and the scenario over the rig file."""
-    controllers = _by_axis("--controller", options.controller, "vertical=ppid")
-    setpoints = _by_axis("--setpoint", options.setpoint, f"vertical={EXAMPLE}")
+    controllers = by_axis("--controller", options.controller, "vertical=ppid")
+    setpoints = by_axis("--setpoint", options.setpoint, f"vertical={EXAMPLE}")
     if scenario is None:
         return load_setup(options.rig, _linear_controllers(options) | controllers, setpoints)
     from firmware_sim.scenario import check_axes
@@ -206,7 +206,7 @@ def _linear_controllers(options: argparse.Namespace) -> dict[str, str]:
     return {name: LINEAR_CONTROLLERS[axis.unit] for name, axis in read_rig_file(None).axes.items()}
 
 
-def _by_axis(option: str, given: list[str], example: str) -> dict[str, str]:
+def by_axis(option: str, given: list[str], example: str) -> dict[str, str]:
     """Split ``AXIS=VALUE`` texts. Raises DocumentError."""
     pairs: dict[str, str] = {}
     for text in given:
@@ -221,7 +221,8 @@ def _by_axis(option: str, given: list[str], example: str) -> dict[str, str]:
     return pairs
 
 
-def _duration(text: str) -> float:
+def duration_argument(text: str) -> float:
+    """Return a duration in seconds from the text of an argument."""
     try:
         value = float(text)
     except ValueError:

@@ -12,10 +12,11 @@ from collections.abc import Mapping, Sequence
 
 from hil.core.control_law import ControlLaw
 from hil.core.excitation import samples
-from hil.core.excited_loop import ExcitedLoop, Fence, Phase
+from hil.core.excited_loop import ExcitedLoop, Fence
 from hil.core.experiment import Experiment
 from hil.core.frames import Frame
 from hil.core.output import AxisSignals
+from hil.core.phase import Phase
 from hil.core.rig import Rig
 from hil.core.setpoints import HOLD, Setpoint
 from hil.core.valve_commands import ValveCommands

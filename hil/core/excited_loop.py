@@ -23,23 +23,11 @@ the valve holds, and the recorded voltages say so.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import IntEnum
 from typing import NamedTuple
 
 from hil.core.control_law import ControlLaw
 from hil.core.experiment import Experiment
-
-
-class Phase(IntEnum):
-    """Phases of an experiment, as recorded with every sample of the excited axis; 0 elsewhere."""
-
-    NONE = 0
-    APPROACH = 1
-    SETTLE = 2
-    EXCITED = 3
-    RECOVER = 4
-    RETURN = 5
-    DONE = 6
+from hil.core.phase import Phase
 
 
 class Fence(NamedTuple):
@@ -98,6 +86,15 @@ class ExcitedLoop:
                 return "the experiment is done"
             case _:
                 return f"{axis} is not excited"
+
+    def outcome(self) -> dict[str, str]:
+        """Return how far the experiment came, as texts for the recording's metadata."""
+        return {
+            "experiment": self.phase.name.lower(),
+            "values given": f"{self._index} of {len(self._values)}",
+            "valve offset, V": repr(self.offset_v),
+            "fence crossings": str(self.fence_crossings),
+        }
 
     def begin(self, t: float, y: float) -> None:
         """Take over at position ``y`` with the valve at its centre."""

@@ -23,7 +23,7 @@ from hil.core.axis_loops import AxisLoops
 from hil.core.board_supervision import BoardSupervision
 from hil.core.board_watch import NmtState
 from hil.core.control_law import ControlLaw
-from hil.core.excited_loop import ExcitedLoop, Phase
+from hil.core.excited_loop import ExcitedLoop
 from hil.core.experiment import Experiment
 from hil.core.foreign_frames import ForeignFrames, Intrusion, UnknownFrame
 from hil.core.frames import Frame
@@ -31,6 +31,7 @@ from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger
 from hil.core.operating_state import OperatingState
 from hil.core.output import NOTHING, Cycle, LogEntry, LogThrottle, Output, Severity, combine
 from hil.core.period_clock import PeriodClock
+from hil.core.phase import Phase
 from hil.core.rejections import Rejections
 from hil.core.rig import Rig
 from hil.core.sample_guard import Accepted, Rejected, RejectionSeverity, SampleGuard

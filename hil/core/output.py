@@ -47,7 +47,7 @@ class AxisSignals(NamedTuple):
     potentiometer_v: float
     """Potentiometer voltage in volts that the position was computed from."""
     phase: int = 0
-    """``excited_loop.Phase`` of the experiment on this axis; 0 for an axis that is not excited."""
+    """``phase.Phase`` of the experiment on this axis; 0 for an axis that is not excited."""
 
 
 class Cycle(NamedTuple):

@@ -138,6 +138,7 @@ class Recording:
             "output_v",
             "command_v",
             "potentiometer_v",
+            "phase",
             "state",
             "fresh",
         )

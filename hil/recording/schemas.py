@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from hil.core.life_cycle import LifeCycleState
+from hil.core.phase import Phase
 
 FORMAT_VERSION = 2
 """Version of topics, definitions and metadata, in the metadata entry ``recording.format_version``.
@@ -27,6 +28,7 @@ CDR_HEADER = b"\x00\x01\x00\x00"
 """Encapsulation header: plain CDR, little endian. The alignment of fields counts from its end."""
 
 _STATES = "\n".join(f"uint8 {state.name}={state.value}" for state in LifeCycleState)
+_PHASES = "\n".join(f"uint8 PHASE_{phase.name}={phase.value}" for phase in Phase)
 _SEPARATOR = "=" * 80
 _TIME = f"""{_SEPARATOR}
 MSG: builtin_interfaces/Time
@@ -70,6 +72,8 @@ float64 error  # setpoint - position
 float64 output_v  # output of the control law before the limits, relative to the valve's centre voltage
 float64 command_v  # valve voltage after the limits, before quantisation
 float64 potentiometer_v
+{_PHASES}
+uint8 phase  # phase of the experiment on this axis
 {_STATES}
 uint8 state  # state of the life cycle after the period
 bool fresh  # false: no good sample in this period; the signals are those of the last good sample

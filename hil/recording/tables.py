@@ -92,6 +92,8 @@ class AxisTable(Table):
     """Valve voltage after the limits, in V, before quantisation."""
     potentiometer_v: FloatArray
     """Measured potentiometer voltage in V."""
+    phase: ByteArray
+    """Phase of the experiment on this axis, ``hil.core.phase.Phase``; 0 if the axis is not excited."""
     state: ByteArray
     """State of the life cycle after the period; ``Recording.state_names`` has its name."""
     fresh: BoolArray

@@ -27,6 +27,7 @@ class AxisAnswer(NamedTuple):
     output_v: float
     command_v: float
     potentiometer_v: float
+    phase: int
     state: int
     fresh: bool
 

@@ -8,8 +8,9 @@ import pytest
 from hil.core.control_law import ControlLaw
 from hil.core.controller_file import PidLaw
 from hil.core.excitation import Prbs
-from hil.core.excited_loop import ExcitedLoop, Fence, Phase
+from hil.core.excited_loop import ExcitedLoop, Fence
 from hil.core.experiment import Experiment
+from hil.core.phase import Phase
 
 TS = 0.0112
 FENCE = Fence(-0.1, 0.1)
