@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from support.gateway_bench import hand
+from support.gateway_bench import make_stepped
 
 from hil.cli.progress import LockstepProgress
 from hil.core.output import Cycle, LogEntry, Severity
@@ -13,7 +13,7 @@ from hil.core.output import Cycle, LogEntry, Severity
 def test_warnings_have_the_time_and_brackets_are_kept(
     duration_s: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    gateway = hand().core
+    gateway = make_stepped().core
     with LockstepProgress(duration_s) as progress:
         progress.log(LogEntry(Severity.WARNING, "vertical", "the setpoint begins at 0.1 m"))
         progress.cycle(Cycle(223, 2_500_000_000, 0, 0, 0, True, ()), gateway)
