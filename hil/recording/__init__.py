@@ -38,7 +38,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     >>> print(f"{controlled.setpoint[-1]:.2f} {vertical.unit}, {abs(controlled.error[-1]) < 0.005}")
     0.10 m, True
     >>> print(*vertical.columns)
-    time_s time_ns setpoint position error output_v command_v potentiometer_v state fresh running
+    time_s time_ns setpoint position error output_v command_v potentiometer_v phase state fresh running
 
     ``time_s`` counts from the first recorded period. Setpoint times count from the first period in which the
     controllers act, when the boards are up:

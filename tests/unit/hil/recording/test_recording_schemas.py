@@ -63,10 +63,10 @@ def test_frames_are_laid_out_as_cdr(
     assert ours == bytes(STORE.serialize_cdr(message, FRAME.name))
 
 
-@given(st.lists(reals, min_size=6, max_size=6), st.integers(0, 255), st.booleans())
-def test_axis_signals_are_laid_out_as_cdr(values: list[float], state: int, fresh: bool) -> None:
-    ours = packed(AXIS_SIGNALS, "", 7, 8, cdr_string(""), *values, state, fresh)
-    message = TYPES[AXIS_SIGNALS.name](header(7, 8, ""), *values, state, fresh)
+@given(st.lists(reals, min_size=6, max_size=6), st.integers(0, 255), st.integers(0, 255), st.booleans())
+def test_axis_signals_are_laid_out_as_cdr(values: list[float], phase: int, state: int, fresh: bool) -> None:
+    ours = packed(AXIS_SIGNALS, "", 7, 8, cdr_string(""), *values, phase, state, fresh)
+    message = TYPES[AXIS_SIGNALS.name](header(7, 8, ""), *values, phase, state, fresh)
     assert ours == bytes(STORE.serialize_cdr(message, AXIS_SIGNALS.name))
 
 
