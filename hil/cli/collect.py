@@ -32,7 +32,7 @@ from hil.core.suggestions import did_you_mean
 from hil.host.command_parser import CommandParser
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 from hil.shells.run_plan import Ending, RunPlan
-from hil.shells.run_setup import RunSetup, load_setup, read_rig_file
+from hil.shells.run_setup import RunSetup, load_rig, load_setup
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -152,7 +152,7 @@ def main(argv: list[str]) -> int:
     options = parser().parse_args(argv)
     check_plant_options(options)
     console = Console(highlight=False, soft_wrap=True, markup=False)
-    rig = read_rig_file(options.rig)
+    rig = load_rig(options.rig)
     experiment = read_experiment(to_json(_experiment(options, rig)), rig)
     setup = _setup(options, rig, experiment)
     bus = SIMULATED if options.lockstep else options.bus or rig.bus.channel

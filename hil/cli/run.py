@@ -23,7 +23,7 @@ from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
 from hil.recording.recorder import RecorderReport
 from hil.shells.run_plan import Ending, RunPlan
-from hil.shells.run_setup import RunSetup, load_setup, read_rig_file, shipped_controllers
+from hil.shells.run_setup import RunSetup, load_rig, load_setup, shipped_controllers
 
 if TYPE_CHECKING:
     from firmware_sim.scenario import Scenario
@@ -178,7 +178,7 @@ def _setup(options: argparse.Namespace, scenario: Scenario | None, scenario_text
     from firmware_sim.scenario import check_axes
 
     source = f"scenario {options.scenario}"
-    check_axes(scenario, read_rig_file(options.rig).axes, source)
+    check_axes(scenario, load_rig(options.rig).axes, source)
     origins = {
         f"{key}.{name}": f"{source}: {key}.{name}"
         for key, of_scenario, given in (
@@ -203,7 +203,7 @@ def _linear_controllers(options: argparse.Namespace) -> dict[str, str]:
     """
     if not options.linear or options.rig is not None:
         return {}
-    return {name: LINEAR_CONTROLLERS[axis.unit] for name, axis in read_rig_file(None).axes.items()}
+    return {name: LINEAR_CONTROLLERS[axis.unit] for name, axis in load_rig(None).axes.items()}
 
 
 def by_axis(option: str, given: list[str], example: str) -> dict[str, str]:

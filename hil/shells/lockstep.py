@@ -10,6 +10,7 @@ from collections import deque
 from typing import Protocol
 
 from hil.core.frames import Frame
+from hil.core.gateway import Gateway
 from hil.shells.run_plan import Ending, StopRequest
 from hil.shells.session import Session
 
@@ -34,6 +35,20 @@ class Boards(Protocol):
         """Serve the boards' deadline, and return the frames that they send."""
 
 
+class GatewaySide(Protocol):
+    """The gateway's end of the bus: the core, and the calls that a shell makes for it."""
+
+    @property
+    def gateway(self) -> Gateway:
+        """The core."""
+
+    def receive(self, frame: Frame, now_ns: int, stamp_ns: int) -> None:
+        """Give the core a frame."""
+
+    def on_deadline(self, now_ns: int) -> None:
+        """Serve the core's deadline."""
+
+
 class Lockstep:
     """A bus without delay, and the common clock of gateway and boards."""
 
@@ -53,25 +68,38 @@ class Lockstep:
 
     def run(self, session: Session, stop: StopRequest) -> None:
         """Step from deadline to deadline until the session's plan is over."""
-        boards, gateway = self._boards, session.gateway
-        self._deliver(session, boards.start(self._now_ns))
+        self.begin(session)
         while not session.plan.is_over:
-            if boards.next_deadline_ns < gateway.next_deadline_ns:
-                self._now_ns = boards.next_deadline_ns
-                self._deliver(session, boards.on_deadline(self._now_ns))
-            else:
-                self._now_ns = gateway.next_deadline_ns
-                session.on_deadline(self._now_ns)
-                self._deliver(session, ())
-                if stop.is_set:
-                    session.plan.end(Ending.INTERRUPTED)
+            if self.step(session) and stop.is_set:
+                session.plan.end(Ending.INTERRUPTED)
 
-    def _deliver(self, session: Session, to_gateway: tuple[Frame, ...]) -> None:
+    def begin(self, gateway_side: GatewaySide) -> None:
+        """Switch the boards on."""
+        self._deliver(gateway_side, self._boards.start(self._now_ns))
+
+    def step(self, gateway_side: GatewaySide) -> bool:
+        """Advance to the next deadline and serve it. Return whether it was one of the gateway."""
+        boards, gateway = self._boards, gateway_side.gateway
+        if boards.next_deadline_ns < gateway.next_deadline_ns:
+            self._now_ns = boards.next_deadline_ns
+            self._deliver(gateway_side, boards.on_deadline(self._now_ns))
+            return False
+        self._now_ns = gateway.next_deadline_ns
+        gateway_side.on_deadline(self._now_ns)
+        self._deliver(gateway_side, ())
+        return True
+
+    def deliver(self, gateway_side: GatewaySide, frame: Frame) -> None:
+        """Put a frame of another node on the bus now. The gateway and the boards receive it."""
+        self._to_boards.append(frame)
+        self._deliver(gateway_side, (frame,))
+
+    def _deliver(self, gateway_side: GatewaySide, to_gateway: tuple[Frame, ...]) -> None:
         """Deliver frames in both directions until none is left."""
         now_ns, waiting, boards = self._now_ns, self._to_boards, self._boards
         while True:
             for frame in to_gateway:
-                session.receive(frame, now_ns, now_ns)
+                gateway_side.receive(frame, now_ns, now_ns)
             if not waiting:
                 return
             to_gateway = boards.receive(waiting.popleft(), now_ns)

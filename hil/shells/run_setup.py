@@ -7,6 +7,7 @@ knows no bus.
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,12 +66,19 @@ class RunSetup:
         return digest.hexdigest()
 
 
-def read_rig_file(path: Path | None) -> Rig:
+def load_rig(path: str | os.PathLike[str] | None = None) -> Rig:
     """Read a rig file, or the shipped one if ``path`` is None; not the files that it names.
 
     Raises DocumentError.
     """
-    return read_rig(read_text(path or SHIPPED / RIG_NAME), str(path or RIG_NAME))
+    return read_rig(read_text(Path(path or SHIPPED / RIG_NAME)), str(path or RIG_NAME))
+
+
+def load_controller(name: str | os.PathLike[str]) -> ControllerFile:
+    """Read a controller file, or a shipped one by its name. Raises DocumentError."""
+    text = os.fspath(name)
+    path = _controller_path(text, Path(), "controller")
+    return read_controller(read_text(path), text)
 
 
 def load_setup(

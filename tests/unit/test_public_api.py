@@ -1,0 +1,94 @@
+"""The names that a user imports: what is exported, that it is imported lazily, and that the examples run."""
+
+import doctest
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import design
+import firmware_sim
+import hil
+import hil.lockstep_rig
+
+PACKAGES = (hil, firmware_sim, design)
+EXPORTED = {
+    "hil": [
+        "ControlLaw",
+        "ControllerFile",
+        "Frame",
+        "Gateway",
+        "HilError",
+        "LockstepRig",
+        "Recording",
+        "Rig",
+        "load_controller",
+        "load_rig",
+        "open_link",
+        "open_recording",
+        "run_experiment",
+    ],
+    "firmware_sim": [
+        "AdcFaults",
+        "Arm",
+        "DacFaults",
+        "LinearModel",
+        "LinearPlant",
+        "Plant",
+        "SimulatedRig",
+        "find_scenario",
+        "parse_event",
+        "read_arm",
+        "read_plant_file",
+        "read_scenario",
+        "shipped_arm",
+        "wiring",
+    ],
+}
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+def test_each_exported_name_exists_and_is_described(package: ModuleType) -> None:
+    for name in package.__all__:
+        assert getattr(package, name) is not None
+        assert f"``{name}``" in (package.__doc__ or "") or f":class:`{name}`" in (package.__doc__ or ""), name
+    assert set(package.__all__) <= set(dir(package))
+
+
+@pytest.mark.parametrize("name", EXPORTED)
+def test_the_exported_names_are_these(name: str) -> None:
+    assert sorted(importlib.import_module(name).__all__) == EXPORTED[name]
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+def test_an_unknown_name_is_an_attribute_error(package: ModuleType) -> None:
+    with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'nonsense'"):
+        package.nonsense  # noqa: B018
+
+
+def test_importing_the_packages_imports_nothing_else() -> None:
+    program = (
+        "import sys; import hil, design, firmware_sim; "
+        "print(*{'numpy', 'scipy', 'msgspec', 'can'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+def test_each_package_says_that_it_is_typed(package: ModuleType) -> None:
+    assert package.__file__ is not None
+    assert (Path(package.__file__).parent / "py.typed").exists()
+
+
+@pytest.mark.parametrize("module", [*PACKAGES, hil.lockstep_rig], ids=lambda module: module.__name__)
+def test_the_examples_in_the_docstrings_run(
+    module: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    assert result.attempted > 0
+    assert result.failed == 0
