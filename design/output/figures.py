@@ -14,7 +14,8 @@ from design.closed_loop.comparison import Candidate, Measures, Problem
 from design.closed_loop.specifications import Specification
 from design.mathematics.polynomials import Array
 from design.models.measured_record import ModelFit
-from design.output.charts import Axis, Band, Curve, Limit, Panel, Style, draw
+from design.output.charts import Band, Curve, Limit, Panel, Style, draw
+from design.output.scales import Axis
 from design.robustness.loop_shaping import shaped
 from design.search.searcher import SearchResult
 

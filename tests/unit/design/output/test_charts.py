@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.drawn_curves import drawn_curves
 
-from design.output.charts import Axis, Band, Curve, Limit, Panel, Style, draw
+from design.output.charts import Band, Curve, Limit, Panel, Style, draw
+from design.output.scales import Axis
 
 LINE = Style("#000")
 Values = NDArray[np.float64]
