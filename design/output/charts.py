@@ -2,7 +2,8 @@
 
 This module knows no control engineering. It writes SVG directly because importing a plotting library takes
 longer than a whole design. One SVG document holds panels, one above the other, with one legend. Every panel
-states its scales in data attributes; the script of the report and the tests read values off the curves by them.
+states its scales in data attributes; the script of the report and the tests read values off the curves by
+them.
 """
 
 from __future__ import annotations
@@ -180,9 +181,7 @@ class _PlacedPanel:
         if limit.of_x:
             return _text(at - 4, self._bottom - 6, limit.label, "end", _SOFT_TEXT)
         has_room_above = at - self._top > 14
-        return _text(
-            self._right - 4, at - 4 if has_room_above else at + 13, limit.label, "end", _SOFT_TEXT
-        )
+        return _text(self._right - 4, at - 4 if has_room_above else at + 13, limit.label, "end", _SOFT_TEXT)
 
     def _limit_pixel(self, limit: Limit) -> float:
         return float((self._x if limit.of_x else self._y).pixels(limit.value))
