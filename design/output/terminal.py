@@ -91,7 +91,7 @@ def _print_recommendation(console: Console, design: Design, recommendation: Reco
     for warning in recommendation.warnings:
         _print(console, f"warning from the plant file: {warning}", "yellow")
     for objection in recommendation.objections:
-        _print(console, objection, "red")
+        _print(console, f"do not run: {objection}", "red")
 
 
 def _print_files(console: Console, design: Design, written: WrittenDesign, plant_file: Path | None) -> None:
