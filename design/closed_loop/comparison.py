@@ -62,6 +62,8 @@ class Measures:
     """Largest gain from input disturbance to output, in axis units per V."""
     effort_v: float
     """Largest |u| in V after a setpoint step of one axis unit."""
+    nyquist_rad_s: float
+    """Nyquist frequency of the loop that is designed for; ∞ for a continuous loop."""
 
 
 class Gains(NamedTuple):
@@ -127,8 +129,8 @@ def table_rows(axis_unit: str) -> tuple[Row, ...]:
             "error",
             lambda m: m.error,
         ),
-        Row("crossover of GK", "rad/s", lambda m: _number(m, m.crossover_rad_s, 2)),
-        Row("bandwidth, −3 dB of T", "rad/s", lambda m: _number(m, m.bandwidth_rad_s, 2)),
+        Row("crossover of GK", "rad/s", lambda m: _frequency(m, m.crossover_rad_s)),
+        Row("bandwidth, −3 dB of T", "rad/s", lambda m: _frequency(m, m.bandwidth_rad_s)),
         Row("gain margin", "dB", lambda m: _number(m, 20.0 * float(np.log10(m.gain_margin)), 1)),
         Row("phase margin", "°", lambda m: _number(m, float(np.degrees(m.phase_margin_rad)), 1)),
         Row("disturbance peak", f"{axis_unit}/V", lambda m: _number(m, m.disturbance_peak, 4)),
@@ -150,6 +152,15 @@ def number_text(value: float, decimals: int, *, vanishing: bool = False) -> str:
     if vanishing or value == 0.0 or abs(value) >= 0.95 * 10.0 ** (1 - decimals):
         return f"{value:.{decimals}f}"
     return f"{value:.2g}"
+
+
+def _frequency(measures: Measures, value_rad_s: float) -> str:
+    """Return a crossing frequency; ``> 280.5`` above the Nyquist frequency, ``none`` without a crossing."""
+    if measures.stable and value_rad_s == np.inf and np.isfinite(measures.nyquist_rad_s):
+        return f"> {measures.nyquist_rad_s:.1f}"
+    if measures.stable and value_rad_s in (0.0, np.inf):
+        return "none"
+    return _number(measures, value_rad_s, 2)
 
 
 def _number(measures: Measures, value: float, decimals: int, *, vanishing: bool = False) -> str:
@@ -206,6 +217,7 @@ class Problem:
             phase_margin_rad=float(margins.phase_margin(q.open)[0]),
             disturbance_peak=float(margins.disturbance_peak(q.G, K)[0]),
             effort_v=float(q.effort[0]),
+            nyquist_rad_s=np.inf if self.sampling is None else np.pi / self.sampling.period_s,
         )
 
     def step(self, candidate: Candidate, horizon_s: float) -> StepResponses:

@@ -1,1 +1,1 @@
-"""What a design writes: controller files, report, figures and terminal text."""
+"""Output of a design: controller files, report, figures, terminal text and progress."""

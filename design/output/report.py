@@ -1,107 +1,75 @@
-"""The report of a design: one HTML file without references to anything outside it.
+"""Render the report of a design: one HTML file that refers to nothing outside itself.
 
-Gathers what the template says and the figures; no mathematics of its own. Table 1 of the paper stands in the
-captions of Fig. 11.
+This module collects what the template ``report.html`` shows; it computes nothing of the design. Table 1 of
+the paper stands in the captions of the robustness figures.
 """
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from design.closed_loop.comparison import Measures, delay_text, number_text, table_rows
-from design.closed_loop.specifications import ROUNDING, Specification
-from design.mathematics.polynomials import Array
+from design.closed_loop.specifications import ROUNDING, Reading, Specification
 from design.models.measured_record import ModelFit
-from design.models.transfer_function import TransferFunction
-from design.output import figures
-from design.output.advice import hints, warnings
 from design.output.figures import Figure
+from design.output.mathml import transfer_function_formula
+from design.output.provenance import versions
+from design.paper.printed import is_paper_plant
 from design.robustness.loop_shaping import shaped
 from design.synthesis.procedure import Design
+from design.synthesis.recommendation import Recommendation
 from hil.core.documents import to_json
 
 if TYPE_CHECKING:
-    from design.paper.verdicts import Verdict
+    from design.paper.checked_claim import CheckedClaim
 
 NO_RECORD = (
-    "Fig. 5 compares the model with a measured record, and none was given: "
-    "<code>hil design plant.json --measured record.csv</code>, columns <code>time_s,u,y</code>."
+    "No measured record was given, so the model is not compared with one. To compare it: "
+    "<code>hil design plant.json --measured record.csv</code>, with the columns <code>time_s,u,y</code>."
 )
 
 
-TUNED = ("ZN", "TLC")
-"""Candidates of Fig. 9; the others are in Fig. 10."""
+@dataclass(frozen=True)
+class _Cell:
+    """One value of the comparison table."""
+
+    name: str
+    """Name of the candidate."""
+    text: str
+    is_missed: bool
+    """The value is outside its specification."""
 
 
-def design_figures(design: Design, measured: ModelFit | None = None) -> list[Figure]:
-    """Figs 5 to 11 for this design, in the paper's order; Fig. 5 only with a record."""
-    problem, specifications = design.problem, design.design_file.specifications.asked_for()
-    styles = figures.styles(design.candidates)
-    pairs = list(zip(design.candidates, design.measures, strict=True))
-    stable = [pair for pair in pairs if pair[1].stable]
-    tuned = [pair for pair in stable if pair[0].name in TUNED]
-    shaped_ones = [pair for pair in stable if pair[0].name not in TUNED]
-    followed = [candidate for candidate, _ in pairs if candidate.name not in (*TUNED, "PI")]
-    found = [figures.identification(measured, design.plant.output_unit)] if measured is not None else []
-    found += [
-        figures.convergence(
-            design.weight.search,
-            "fig6-weight-convergence",
-            "Fig. 6. Convergence of weight selection",
-            "best ε_opt",
-            None,
-        ),
-        figures.open_loops(problem, followed, styles),
-        figures.convergence(
-            design.synthesis.search,
-            "fig8-convergence",
-            "Fig. 8. Convergence of the synthesis",
-            "best ε",
-            design.synthesis.eps_opt,
-        ),
-    ]
-    if tuned:
-        found.append(
-            figures.steps(
-                "fig9-tuning-rules",
-                "Fig. 9. Step responses, Ziegler-Nichols and Tyreus-Luyben",
-                "What rules of thumb give on the same loop.",
-                problem,
-                tuned,
-                styles,
-                specifications,
-            )
-        )
-    found.append(
-        figures.steps(
-            "fig10-steps",
-            f"Fig. 10. Step responses, {design.designed.name} and loop shaping",
-            "The structured controller beside the full-order one that it approximates.",
-            problem,
-            shaped_ones,
-            styles,
-            specifications,
-        )
-    )
-    found += figures.robustness(problem, [candidate for candidate, _ in stable], styles)
-    return found
+@dataclass(frozen=True)
+class _SpecificationRow:
+    """One specification with its readings, for the loop that selects the weight and for the designed loop."""
+
+    quantity: str
+    limit: str
+    reading: str
+    selecting: str
+    selecting_met: bool
+    designed: str
+    designed_met: bool
+    is_judged: bool
+    """The specification applies to the designed loop too."""
 
 
 def render(
     design: Design,
-    drawn: Sequence[Figure],
+    figures: Sequence[Figure],
+    recommendation: Recommendation,
     *,
     title: str,
     measured: ModelFit | None = None,
-    verdicts: Sequence[Verdict] = (),
+    claims: Sequence[CheckedClaim] = (),
 ) -> str:
-    """The report as HTML."""
+    """Return the report as HTML; ``claims`` are the paper's, for the report of its reproduction."""
     from jinja2 import Environment
 
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -109,40 +77,26 @@ def render(
         resources.files("design.output").joinpath("report.html").read_text("utf-8")
     )
     problem = design.problem
-    rows = table_rows(design.plant.output_unit)
-    limits = {s.quantity: s.limit for s in design.design_file.specifications.asked_for()}
+    G, dead_time_s = design.plant.rational_part, design.plant.dead_time_s
     return template.render(
         title=title,
         design=design,
+        is_paper=is_paper_plant(design.plant),
         eps=design.eps,
         eps_opt=problem.eps_opt,
         cards=_cards(design.measures[0]),
-        warnings=warnings(design),
-        hints=hints(design),
+        parameters=_parameters_text(design.designed.parameters),
+        recommendation=recommendation,
         specifications=_specification_rows(design),
-        table=[
-            (
-                row,
-                [
-                    (
-                        row.text(m),
-                        row.specified_as in limits
-                        and not row.value(m) <= limits[row.specified_as or ""] * (1.0 + ROUNDING),
-                    )
-                    for m in design.measures
-                ],
-            )
-            for row in rows
-        ],
-        figures=drawn,
+        table=_comparison_table(design),
+        figures=figures,
         no_record=NO_RECORD if measured is None else "",
-        verdicts=verdicts,
-        plant_tf=mathml(design.plant.rational_part, "G", design.plant.dead_time_s),
-        weight_tf=mathml(problem.weight, "W 1"),
-        shaped_tf=mathml(shaped(design.plant.rational_part, problem.weight), "G s", design.plant.dead_time_s),
-        loop=loop_text(design),
-        delay=delay_text(problem.rig_sampling),
-        laws=[(c.name, c.method, _parameters(c.parameters), to_json(c.law)) for c in design.candidates],
+        claims=claims,
+        plant_tf=transfer_function_formula(G, "G", dead_time_s),
+        weight_tf=transfer_function_formula(problem.weight, "W 1"),
+        shaped_tf=transfer_function_formula(shaped(G, problem.weight), "G s", dead_time_s),
+        delay=delay_text(problem.rig_sampling, design.plant),
+        laws=[(c.name, c.method, _parameters_text(c.parameters), to_json(c.law)) for c in design.candidates],
         design_file=to_json(design.design_file),
         versions=versions(),
         guaranteed_gain_db=20.0 * float(np.log10((1.0 + design.eps) / (1.0 - design.eps))),
@@ -150,84 +104,77 @@ def render(
     )
 
 
-def versions() -> dict[str, str]:
-    """Of what a result depends on."""
-    names = ("pneumatic-hil", "numpy", "scipy")
-    return {"python": platform.python_version(), **{name: version(name) for name in names}}
+def _comparison_table(design: Design) -> list[tuple[str, str, list[_Cell]]]:
+    """Return label, unit and cells of each row."""
+    limits = {s.quantity: s.limit for s in design.design_file.specifications.requested()}
+
+    def is_missed(quantity: str | None, value: float) -> bool:
+        return quantity in limits and not value <= limits[quantity] * (1.0 + ROUNDING)
+
+    return [
+        (
+            row.label,
+            row.unit,
+            [
+                _Cell(candidate.name, row.text(measures), is_missed(row.specified_as, row.value(measures)))
+                for candidate, measures in zip(design.candidates, design.measures, strict=True)
+            ],
+        )
+        for row in table_rows(design.plant.output_unit)
+    ]
 
 
-def loop_text(design: Design) -> str:
-    """The loop that was designed for, in words."""
-    rig = design.problem.rig_sampling
-    sampled = f"zero-order hold at {rig.period_s:g} s, {delay_text(rig, design.plant)}, K by Tustin's rule"
-    if design.problem.sampling is None:
-        return f"continuous (the rig's loop, for comparison: {sampled})"
-    return f"sampled: {sampled}"
-
-
-def mathml(H: TransferFunction, name: str, dead_time_s: float = 0.0) -> str:
-    """Return H(s) with its dead time as MathML; ``name`` is a symbol and its index, such as "W 1"."""
-    symbol, _, index = name.partition(" ")
-    head = f"<msub><mi>{symbol}</mi><mi>{index}</mi></msub>" if index else f"<mi>{symbol}</mi>"
-    argument = '<mo stretchy="false">(</mo><mi>s</mi><mo stretchy="false">)</mo>'
-    num, den = (f"<mrow>{_polynomial(np.ravel(p))}</mrow>" for p in H)
-    delay = (
-        f"<msup><mi>e</mi><mrow><mo>−</mo><mn>{dead_time_s:.5g}</mn><mi>s</mi></mrow></msup>"
-        if dead_time_s
-        else ""
-    )
-    fraction = f"<mfrac>{num}{den}</mfrac>{delay}"
-    return f'<math display="block"><mrow>{head}{argument}<mo>=</mo>{fraction}</mrow></math>'
-
-
-def _polynomial(p: Array) -> str:
-    terms: list[str] = []
-    for i, coefficient in enumerate(p.tolist()):
-        power = len(p) - 1 - i
-        if coefficient == 0.0:
-            continue
-        sign = "−" if coefficient < 0.0 else ("+" if terms else "")
-        size = f"{abs(coefficient):.5g}"
-        number = "" if size == "1" and power else f"<mn>{size}</mn>"
-        symbol = {0: "", 1: "<mi>s</mi>"}.get(power, f"<msup><mi>s</mi><mn>{power}</mn></msup>")
-        terms.append((f"<mo>{sign}</mo>" if sign else "") + number + symbol)
-    return "".join(terms) or "<mn>0</mn>"
-
-
-def _specification_rows(design: Design) -> list[dict[str, str | bool]]:
-    """Each specification with its reading, for the loop that selects the weight and for the designed one."""
-    asked = design.design_file.specifications.asked_for()
-    binding = design.design_file.controller.must_meet_specifications
-    rows: list[dict[str, str | bool]] = []
+def _specification_rows(design: Design) -> list[_SpecificationRow]:
+    specifications = design.design_file.specifications.requested()
+    is_binding = design.design_file.controller.must_meet_specifications
+    nyquist_rad_s = design.measures[0].nyquist_rad_s
+    rows = []
     for specification, selecting, designed in zip(
-        asked, design.weight.readings, design.designed_readings, strict=True
+        specifications, design.weight.readings, design.designed_readings, strict=True
     ):
-        same = selecting.reading == designed.reading
+        is_same = selecting.reading == designed.reading
         rows.append(
-            {
-                "quantity": specification.quantity,
-                "limit": _limit(specification),
-                "reading": selecting.reading,
-                "selecting": selecting.value_text,
-                "selecting_met": selecting.met,
-                "designed": designed.value_text + ("" if same else ", of GK"),
-                "judged": same or binding,
-                "designed_met": designed.met,
-            }
+            _SpecificationRow(
+                quantity=specification.quantity,
+                limit=_limit_text(specification),
+                reading=selecting.reading,
+                selecting=_reading_text(selecting, nyquist_rad_s),
+                selecting_met=selecting.met,
+                designed=_reading_text(designed, nyquist_rad_s) + ("" if is_same else ", of GK"),
+                designed_met=designed.met,
+                is_judged=is_same or is_binding,
+            )
         )
     return rows
 
 
-def _limit(specification: Specification) -> str:
+def _limit_text(specification: Specification) -> str:
     sign = "≤" if specification.kind.is_upper_limit else "≥"
     return f"{sign} {specification.limit:g} {specification.kind.unit}".rstrip()
 
 
-def _parameters(parameters: object) -> str:
-    return ", ".join(f"{name} {value:.6g}" for name, value in dict(parameters).items())  # type: ignore[call-overload]
+def _reading_text(reading: Reading, nyquist_rad_s: float) -> str:
+    if reading.unit == "rad/s" and not np.isfinite(reading.value):
+        return _no_crossing_text(nyquist_rad_s)
+    return reading.value_text
+
+
+def _no_crossing_text(nyquist_rad_s: float) -> str:
+    if np.isfinite(nyquist_rad_s):
+        return f"above the Nyquist frequency {nyquist_rad_s:.1f} rad/s"
+    return "no crossing"
+
+
+def _parameters_text(parameters: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.6g}" for name, value in parameters.items())
 
 
 def _cards(m: Measures) -> dict[str, str]:
+    """Return the figures of the summary at the top."""
+    if not np.isfinite(m.bandwidth_rad_s):
+        bandwidth = _no_crossing_text(m.nyquist_rad_s)
+    else:
+        bandwidth = f"at {number_text(m.bandwidth_rad_s, 2)} rad/s"
     return {
         "gain": number_text(20.0 * float(np.log10(m.gain_margin)), 1),
         "phase": number_text(float(np.degrees(m.phase_margin_rad)), 0),
@@ -235,5 +182,5 @@ def _cards(m: Measures) -> dict[str, str]:
         "overshoot": number_text(100.0 * m.overshoot, 2, vanishing=True),
         "error": number_text(100.0 * m.error, 3, vanishing=True),
         "disturbance": number_text(m.disturbance_peak, 4),
-        "bandwidth": number_text(m.bandwidth_rad_s, 2),
+        "bandwidth": bandwidth,
     }

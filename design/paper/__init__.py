@@ -1,1 +1,1 @@
-"""The reproduction of the paper, figure by figure."""
+"""Reproduction of the paper: every printed figure and statement beside the computed one."""

@@ -1,11 +1,13 @@
-"""The design file: everything a design is asked for, one TOML document with a default for every key.
+"""The design file: all requirements of a design, as one TOML document with a default for every key.
 
-Lives here: the document, its checks, and the objects of this package that it stands for. The defaults are
-the paper's (Sec. IV), designed in the sampled loop of the shipped rig. No designing.
+This module reads and checks the document and turns it into structures, specifications and searchers. The
+defaults are the paper's (Sec. IV), designed in the sampled loop of the shipped rig. ``hil design --init``
+writes the commented example, ``design.toml``.
 """
 
 from __future__ import annotations
 
+import tomllib
 from importlib import resources
 from string import Template
 from typing import Annotated, Literal
@@ -14,11 +16,12 @@ import msgspec
 
 from design.closed_loop.specifications import PAPER, Specification
 from design.models.sampling import Sampling
-from design.search.bounds import Parameter, with_bounds
+from design.search.bounds import with_bounds
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.genetic_algorithm import GeneticAlgorithm
 from design.search.searcher import Searcher
 from design.synthesis.own_structures import own_structure
+from design.synthesis.search_ranges import SearchRange, check_search_ranges, search_parameters
 from design.synthesis.structures import (
     STRUCTURES,
     FreeTransferFunction,
@@ -31,34 +34,44 @@ from hil.core.errors import DocumentError
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
-WEIGHT_STRUCTURES = ("integral", "p", "pi", "lead-lag", "pi-lead")
-DIFFERENTIAL_EVOLUTION, GENETIC_ALGORITHM = "differential evolution", "genetic algorithm"
+GENETIC_ALGORITHM = "genetic algorithm"
+WEIGHT_CHROMOSOMES, CONTROLLER_CHROMOSOMES = 100, 200
+"""Population of the genetic algorithm in the paper's search for the weight and for the controller."""
+
+_RENAMED_KEYS = {
+    ("weight", "box"): "weight.search_ranges",
+    ("controller", "box"): "controller.search_ranges",
+}
+"""Keys of earlier versions, and their names today."""
 
 
-class Loop(Document, frozen=True):
-    """The loop that the controller is for. ``delay_samples`` is 1 for valves that act at the next SYNC."""
+class LoopOptions(Document, frozen=True):
+    """The loop that the controller is designed for."""
 
     design: Literal["sampled", "continuous"] = "sampled"
+    """Loop of the design: sampled, with hold, period and delay, or continuous, as in the paper."""
     period_s: Positive = 0.0112
+    """Period of the rig's loop in seconds."""
     delay_samples: Annotated[int, msgspec.Meta(ge=0, le=20)] = 1
+    """Samples between a measurement and its effect on the valve; 1 for valves that act at the next SYNC."""
 
 
 class GainBelow(Document, frozen=True):
-    """Open-loop gain of at least ``limit`` dB at every frequency up to ``up_to_rad_s``."""
+    """Smallest open-loop gain, ``limit`` in dB, at every frequency up to ``up_to_rad_s``."""
 
     limit: float
     up_to_rad_s: Positive
 
 
 class EffortForStep(Document, frozen=True):
-    """At most ``limit`` volts after a setpoint step of ``step``, in the axis' unit."""
+    """Largest manipulated variable, ``limit`` in V, after a setpoint step of ``step`` in the axis' unit."""
 
     limit: Positive
     step: Positive
 
 
 class Specifications(Document, frozen=True):
-    """Eq. (9) and others, by the names of ``specifications.QUANTITIES``; what is None is not asked for."""
+    """Specifications of eq. (9) and others, named as in ``specifications.QUANTITIES``; None: no limit."""
 
     overshoot: NonNegative | None = None
     settling_s: Positive | None = None
@@ -72,18 +85,18 @@ class Specifications(Document, frozen=True):
     effort_v: EffortForStep | None = None
     disturbance_peak: Positive | None = None
 
-    def asked_for(self) -> tuple[Specification, ...]:
-        """The specifications that are given, in the order of this class."""
-        asked = []
+    def requested(self) -> tuple[Specification, ...]:
+        """Return the specifications that have a limit, in the order of this class."""
+        requested = []
         for quantity in self.__struct_fields__:
             match getattr(self, quantity):
                 case None:
                     pass
                 case GainBelow(limit=limit, up_to_rad_s=at) | EffortForStep(limit=limit, step=at):
-                    asked.append(Specification(quantity, limit, at))
+                    requested.append(Specification(quantity, limit, at))
                 case limit:
-                    asked.append(Specification(quantity, limit))
-        return tuple(asked)
+                    requested.append(Specification(quantity, limit))
+        return tuple(requested)
 
 
 PAPER_SPECIFICATIONS = msgspec.convert(
@@ -93,26 +106,20 @@ PAPER_SPECIFICATIONS = msgspec.convert(
 """The paper's specifications as a table of a design file; their limits stand in ``specifications.PAPER``."""
 
 
-class Box(Document, frozen=True):
-    """Where a parameter is searched, and whether the search sees it or its logarithm."""
-
-    low: float
-    high: float
-    coding: Literal["logarithmic", "linear"] = "logarithmic"
-
-
 class Weight(Document, frozen=True):
-    """W1, eq. (3), and how far the conventional controller stays from the optimum: γ = factor γ_opt."""
+    """The weight W1 and the conventional controller that is made with it."""
 
     structure: Literal["integral", "p", "pi", "lead-lag", "pi-lead"] = "integral"
     b: Positive | None = None
-    """Of the structure "integral", eq. (3): fixed, small; 0.001 if not given."""
+    """Fixed parameter b of the structure "integral", eq. (3), in rad/s; None means 0.001."""
     gamma_factor: Annotated[float, msgspec.Meta(gt=1.0, le=10.0)] = 1.1
-    box: dict[str, Box] = msgspec.field(default_factory=dict)
+    """Ratio γ/γ_opt for which the conventional controller is designed."""
+    search_ranges: dict[str, SearchRange] = msgspec.field(default_factory=dict)
+    """Search ranges by parameter name, where they differ from the structure's own."""
 
 
 class FreeOrders(Document, frozen=True):
-    """Orders of the structure "free"."""
+    """Orders of the structure "free": degree of num, degree of den without integrators, and integrators."""
 
     num: Annotated[int, msgspec.Meta(ge=0, le=8)]
     den: Annotated[int, msgspec.Meta(ge=0, le=8)]
@@ -120,17 +127,19 @@ class FreeOrders(Document, frozen=True):
 
 
 class ControllerStructure(Document, frozen=True):
-    """K(p): a shipped structure, "free" with ``orders``, or a class of one's own, "file.py:Class"."""
+    """The structure K(p) of the controller."""
 
     structure: str = "pid"
+    """A shipped structure, "free" (which needs ``orders``), or a user's own class, "file.py:Class"."""
     orders: FreeOrders | None = None
     must_meet_specifications: bool = False
-    """Whether the designed loop must meet the specifications too, not only the loop that selects W1."""
-    box: dict[str, Box] = msgspec.field(default_factory=dict)
+    """Require the specifications of the designed loop too, not only of the loop that selects W1."""
+    search_ranges: dict[str, SearchRange] = msgspec.field(default_factory=dict)
+    """Search ranges by parameter name, where they differ from the structure's own."""
 
 
 class Search(Document, frozen=True):
-    """The searcher, its seed, and how many candidates it may judge."""
+    """The searcher, its seed, and the largest number of candidates that it may evaluate."""
 
     searcher: Literal["differential evolution", "genetic algorithm"] = "differential evolution"
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
@@ -139,19 +148,20 @@ class Search(Document, frozen=True):
 
 
 class FurtherPlants(Document, frozen=True):
-    """Plants identified under other conditions: checked by the ν-gap, or designed against all at once."""
+    """Plants identified under other conditions."""
 
     files: list[str] = msgspec.field(default_factory=list)
     """Shipped plants, or plant files relative to the design file."""
     worst_case: bool = False
+    """Design against all plants at once; if false, the plants are only checked by the ν-gap."""
 
 
 class DesignFile(Document, frozen=True):
     """The whole design file."""
 
     axis_unit: Literal["m", "rad"] | None = None
-    """Refuse plants in another unit; None takes the plant's."""
-    loop: Loop = Loop()
+    """Unit that every plant must have; None accepts the unit of the plant."""
+    loop: LoopOptions = LoopOptions()
     specifications: Specifications = PAPER_SPECIFICATIONS
     weight: Weight = Weight()
     controller: ControllerStructure = ControllerStructure()
@@ -160,53 +170,61 @@ class DesignFile(Document, frozen=True):
 
     @property
     def rig_sampling(self) -> Sampling:
-        """How the rig's loop samples, whichever loop is designed for."""
+        """Sampling of the rig's loop, whichever loop the controller is designed in."""
         return Sampling(self.loop.period_s, self.loop.delay_samples)
 
     @property
     def sampling(self) -> Sampling | None:
-        """Of the loop that is designed for; None for the continuous one."""
+        """Sampling of the loop that the controller is designed in; None for the continuous loop."""
         return self.rig_sampling if self.loop.design == "sampled" else None
 
     def with_seed(self, seed: int) -> DesignFile:
-        """The same with another seed."""
+        """Return the design file with another seed for every search."""
         return msgspec.structs.replace(self, search=msgspec.structs.replace(self.search, seed=seed))
 
+    def with_structure(self, name: str) -> DesignFile:
+        """Return the design file with another controller structure, in that structure's own search ranges."""
+        controller = ControllerStructure(
+            structure=name, must_meet_specifications=self.controller.must_meet_specifications
+        )
+        return msgspec.structs.replace(self, controller=controller)
+
     def weight_structure(self) -> Structure:
-        """W1's structure with its boxes. Raises DesignError."""
+        """Return the structure of W1 with its search ranges. Raises DesignError for an unknown parameter."""
         if self.weight.structure == "integral":
             structure: Structure = IntegralWeight(self.weight.b or 0.001)
         else:
             structure = STRUCTURES[self.weight.structure]
-        return with_bounds(structure, _parameters(self.weight.box))
+        return with_bounds(structure, search_parameters(self.weight.search_ranges))
 
     def controller_structure(self) -> Structure:
-        """K's structure with its boxes. Raises DesignError or DocumentError."""
-        name, orders = self.controller.structure, self.controller.orders
-        if name == "free" and orders is not None:
-            structure: Structure = FreeTransferFunction(orders.num, orders.den, orders.integrators)
-        elif name in STRUCTURES:
-            structure = STRUCTURES[name]
-        elif ":" in name:
-            structure = own_structure(name, self.loop.period_s)
-        elif name == "free":
-            raise DocumentError(
-                'controller structure "free": its orders go into a design file, controller.orders'
-            )
-        else:
-            raise DocumentError(
-                f"controller structure {name!r}: not one of {', '.join([*STRUCTURES, 'free'])}; "
-                'a class of your own is named "file.py:Class" or "module:Class"'
-            )
-        return with_bounds(structure, _parameters(self.controller.box))
+        """Return the controller's structure with its search ranges. Raises DesignError or DocumentError."""
+        return with_bounds(self._bare_structure(), search_parameters(self.controller.search_ranges))
 
     def weight_searcher(self, dimensions: int) -> Searcher:
-        """For eqs. (8), (9); the genetic algorithm with the paper's 100 chromosomes."""
-        return self._searcher(dimensions, self.search.weight_evaluations, 100)
+        """Make the searcher for the weight, eqs. (8) and (9)."""
+        return self._searcher(dimensions, self.search.weight_evaluations, WEIGHT_CHROMOSOMES)
 
     def controller_searcher(self, dimensions: int) -> Searcher:
-        """For eqs. (13), (14); the genetic algorithm with the paper's 200 chromosomes."""
-        return self._searcher(dimensions, self.search.controller_evaluations, 200)
+        """Make the searcher for the controller, eqs. (13) and (14)."""
+        return self._searcher(dimensions, self.search.controller_evaluations, CONTROLLER_CHROMOSOMES)
+
+    def _bare_structure(self) -> Structure:
+        name, orders = self.controller.structure, self.controller.orders
+        if name == "free" and orders is not None:
+            return FreeTransferFunction(orders.num, orders.den, orders.integrators)
+        if name == "free":
+            raise DocumentError(
+                'controller structure "free": it needs orders; write controller.orders into a design file'
+            )
+        if name in STRUCTURES:
+            return STRUCTURES[name]
+        if ":" in name:
+            return own_structure(name, self.loop.period_s)
+        raise DocumentError(
+            f"controller structure {name!r}: not one of {', '.join([*STRUCTURES, 'free'])}; "
+            'name a class of your own as "file.py:Class" or "module:Class"'
+        )
 
     def _searcher(self, dimensions: int, evaluations: int, chromosomes: int) -> Searcher:
         seed = self.search.seed
@@ -217,39 +235,51 @@ class DesignFile(Document, frozen=True):
 
 
 def read_design(text: str, source: str) -> DesignFile:
-    """Read and cross-check the text of a design file. Raises DocumentError naming file, key and limit."""
-    design = from_toml(text, DesignFile, source)
-    if not design.specifications.asked_for():
+    """Read and check the text of a design file; ``source`` names it in errors.
+
+    Raises DocumentError with file, key, value and limit.
+    """
+    try:
+        design = from_toml(text, DesignFile, source)
+    except DocumentError:
+        _refuse_renamed_keys(text, source)
+        raise
+    if not design.specifications.requested():
         raise DocumentError(
-            f"{source}: specifications: none is given; the weight of largest margin then does nothing at all"
+            f"{source}: specifications: none is given; without one, the weight of largest margin leaves the "
+            "plant alone. Give at least one limit, such as bandwidth_rad_s"
         )
     if design.weight.b is not None and design.weight.structure != "integral":
-        raise DocumentError(f'{source}: weight.b: only the structure "integral" has it')
+        raise DocumentError(
+            f'{source}: weight.b: only the structure "integral" has it, and weight.structure is '
+            f'"{design.weight.structure}"; remove the key'
+        )
     if (design.controller.structure == "free") != (design.controller.orders is not None):
         raise DocumentError(
-            f'{source}: controller.orders: the structure "free" takes orders, such as '
-            "{ num = 2, den = 1, integrators = 1 }, and no other does"
+            f'{source}: controller.orders: the structure "free" needs orders, such as '
+            "{ num = 2, den = 1, integrators = 1 }; every other structure must not have them"
         )
-    for table, boxes in (("weight", design.weight.box), ("controller", design.controller.box)):
-        for name, box in boxes.items():
-            where = f"{source}: {table}.box.{name}"
-            if not box.low < box.high:
-                raise DocumentError(f"{where}: low {box.low} is not under high {box.high}")
-            if box.coding == "logarithmic" and box.low <= 0.0:
-                raise DocumentError(f'{where}: low {box.low} is not over 0; use coding = "linear"')
+    check_search_ranges("weight", design.weight.search_ranges, source)
+    check_search_ranges("controller", design.controller.search_ranges, source)
     return design
 
 
 def example_text() -> str:
-    """Return the commented example, which ``hil design --init`` writes; every value in it is the default.
+    """Return the commented example that ``hil design --init`` writes; every value in it is the default.
 
     The limits of the paper are filled in from ``specifications.PAPER``.
     """
-    text = resources.files("design.synthesis").joinpath("design.toml").read_text("utf-8")
-    limits = {s.quantity: s.limit for s in PAPER}
+    template = Template(resources.files("design.synthesis").joinpath("design.toml").read_text("utf-8"))
     (gain,) = (s for s in PAPER if s.quantity == "gain_db")
-    return Template(text).substitute(limits, gain_up_to_rad_s=gain.at)
+    return template.substitute({s.quantity: s.limit for s in PAPER}, gain_up_to_rad_s=gain.at)
 
 
-def _parameters(boxes: dict[str, Box]) -> dict[str, Parameter]:
-    return {name: Parameter(name, box.low, box.high, box.coding) for name, box in boxes.items()}
+def _refuse_renamed_keys(text: str, source: str) -> None:
+    """Raise DocumentError with the new name if a refused document has a key of an earlier version."""
+    try:
+        document = tomllib.loads(text)
+    except ValueError:
+        return
+    for (table, key), new_name in _RENAMED_KEYS.items():
+        if isinstance(document.get(table), dict) and key in document[table]:
+            raise DocumentError(f"{source}: {table}.{key}: this key is now {new_name}; rename it") from None

@@ -1,7 +1,8 @@
-"""The paper's procedure, steps 1 to 9, from a design file and a plant to everything a report needs.
+"""The paper's design procedure, steps 1 to 9: from a design file and a plant to a finished design.
 
-Weight selection, synthesis, the controllers to compare with, and what is guaranteed of further plants. Reads
-no files and prints nothing.
+:func:`design_controller` selects the weight, synthesises the structured controller, designs the controllers
+for comparison, and computes what is guaranteed for further plants. This module reads no files and prints
+nothing; ``design.output.results`` writes the results.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from design.closed_loop.comparison import Candidate, Measures, Problem
+from design.closed_loop.comparison import Candidate, Measures, Problem, delay_text
 from design.closed_loop.specifications import Reading, readings
 from design.errors import DesignError, NotStabilisedError
 from design.models.controller import Controller
@@ -19,26 +20,30 @@ from design.models.plant import Plant
 from design.robustness import margins
 from design.robustness.loop_shaping import shaped
 from design.robustness.nu_gap import nu_gap
-from design.search.bounds import Parameter, with_bounds
+from design.search.bounds import with_bounds
 from design.search.searcher import Progress
 from design.synthesis import baselines
 from design.synthesis.design_file import DesignFile
 from design.synthesis.fixed_structure import Synthesis, synthesise
+from design.synthesis.search_ranges import search_parameters
 from design.synthesis.structures import STRUCTURES, Structure, tustin_law
 from design.synthesis.weight_selection import WeightSelection, select_weight
 
 WEIGHT_STAGE, CONTROLLER_STAGE = "weight W1", "controller"
 
 PI_EVALUATIONS = 1500
-"""Enough of a search for the two parameters of the PI to compare with."""
+"""Evaluations for the PI that is compared; its two parameters need no more."""
 
 OnProgress = Callable[[str, Progress, int], None]
-"""Called after every generation with the stage, where it stands, and how many candidates it may judge."""
+"""Function of the stage, the progress of its search, and the largest number of candidates of the stage.
+
+It is called after every generation.
+"""
 
 
 @dataclass(frozen=True)
 class Guarantee:
-    """What the ν-gap says of a further plant, and what is true of it."""
+    """Guarantee that the ν-gap gives for a further plant, and the margin that the controller has on it."""
 
     plant: Plant
     gap: float
@@ -46,57 +51,85 @@ class Guarantee:
     eps: float
     """Margin of the designed controller on the nominal plant."""
     eps_there: float
-    """Its margin on this plant; 0 where it does not stabilise it."""
+    """Margin of the designed controller on this plant; 0 where it does not stabilise it."""
 
     @property
     def guaranteed(self) -> bool:
-        """Whether the margin alone proves this plant stable under the designed controller."""
+        """True if the margin on the nominal plant alone proves that this plant is stabilised."""
         return self.eps > self.gap
 
 
 @dataclass(frozen=True)
 class Design:
-    """A finished design."""
+    """A finished design: everything that reports and controller files are made from."""
 
     design_file: DesignFile
     plant: Plant
+    """Nominal plant."""
     weight: WeightSelection
     synthesis: Synthesis
     problem: Problem
+    """Plant, weight and loop that all candidates share."""
     candidates: tuple[Candidate, ...]
-    """The designed controller first, then those to compare with."""
+    """The designed controller, followed by the controllers for comparison."""
     measures: tuple[Measures, ...]
-    """Of each candidate."""
+    """Measures of each candidate, in the order of ``candidates``."""
     designed_readings: tuple[Reading, ...]
-    """The specifications, read off the designed loop (step 9)."""
+    """Specifications, read off the designed loop (step 9)."""
     guarantees: tuple[Guarantee, ...]
+    """Guarantee for each further plant."""
     notes: tuple[str, ...]
-    """What could not be compared, and why."""
+    """Controllers that could not be designed for comparison, each with the reason."""
 
     @property
     def designed(self) -> Candidate:
-        """The controller that was designed."""
+        """The designed controller."""
         return self.candidates[0]
 
     @property
     def eps(self) -> float:
-        """Its margin, in the loop designed for."""
+        """Margin of the designed controller in the loop that it was designed in."""
         return self.problem.eps(self.measures[0])
+
+    @property
+    def loop_description(self) -> str:
+        """The loop that the controller was designed in, in words."""
+        rig = self.problem.rig_sampling
+        sampled = f"zero-order hold at {rig.period_s:g} s, {delay_text(rig, self.plant)}, K by Tustin's rule"
+        if self.problem.sampling is None:
+            return f"continuous (the rig's loop, for comparison: {sampled})"
+        return f"sampled: {sampled}"
 
 
 def design_controller(
     design_file: DesignFile,
     plant: Plant,
-    further: Sequence[Plant] = (),
+    further_plants: Sequence[Plant] = (),
     on_progress: OnProgress | None = None,
 ) -> Design:
-    """Design a controller for ``plant``. Raises DesignError where it cannot be done as asked."""
-    specifications, sampling = design_file.specifications.asked_for(), design_file.sampling
-    against = [plant, *further] if design_file.further_plants.worst_case else [plant]
-    weight_structure, structure = design_file.weight_structure(), design_file.controller_structure()
+    """Design a controller for a plant: the Python entry to everything that ``hil design`` computes.
+
+    ``design_file`` holds the loop, the specifications, the structures, the search and its seed;
+    ``DesignFile()`` is the paper's design in the loop of the shipped rig, and ``read_design(text, source)``
+    reads one. ``further_plants`` are models of the same axis under other conditions, in the same unit. The
+    design is against all plants if ``design_file.further_plants.worst_case`` is true; otherwise ``plant``
+    alone is designed for, and ``Design.guarantees`` says what holds for the others.
+    ``design_file.further_plants.files`` is not read here. ``on_progress`` is called after every generation of
+    the two searches, with the stage (:data:`WEIGHT_STAGE`, :data:`CONTROLLER_STAGE`), its progress, and the
+    largest number of candidates.
+
+    The result is the same for the same arguments. ``design.synthesis.recommendation.recommend`` says whether
+    its controller should be run, and ``design.output.results.write_design`` writes it to a folder.
+
+    Raises InfeasibleError if no candidate meets the specifications, NotStabilisedError if none stabilises
+    every plant, and DesignError or DocumentError if the design file asks for something impossible.
+    """
+    specifications, sampling = design_file.specifications.requested(), design_file.sampling
+    plants = [plant, *further_plants] if design_file.further_plants.worst_case else [plant]
+    structure = design_file.controller_structure()
     weight = select_weight(
-        against,
-        structure=weight_structure,
+        plants,
+        structure=design_file.weight_structure(),
         specifications=specifications,
         sampling=sampling,
         gamma_factor=design_file.weight.gamma_factor,
@@ -105,7 +138,7 @@ def design_controller(
     )
     try:
         synthesis = synthesise(
-            against,
+            plants,
             weight.weight,
             structure,
             specifications=specifications if design_file.controller.must_meet_specifications else (),
@@ -117,17 +150,10 @@ def design_controller(
             ),
         )
     except NotStabilisedError as error:
-        raise NotStabilisedError(f"{error}{_if_reversed(plant)}") from None
+        raise NotStabilisedError(f"{error}{_negative_gain_note(plant)}") from None
     problem = Problem(plant, weight.weight, sampling, design_file.rig_sampling)
-    label = design_file.controller.structure.rpartition(":")[2]
-    designed = of_structure(
-        f"{label.upper() if label in STRUCTURES else label} (designed)",
-        f"structure {label}, largest ε of eq. (13), {synthesis.search.searcher}{_setpoint_text(synthesis)}",
-        structure,
-        synthesis.values,
-        problem,
-    )
-    others, notes = _compared(design_file, problem, against)
+    designed = _designed_candidate(design_file, synthesis, problem)
+    others, notes = _comparison_candidates(design_file, problem, plants)
     candidates = (designed, *others)
     return Design(
         design_file=design_file,
@@ -138,15 +164,15 @@ def design_controller(
         candidates=candidates,
         measures=tuple(problem.measure(candidate) for candidate in candidates),
         designed_readings=readings(specifications, problem.loops(designed.controller)),
-        guarantees=tuple(_guarantee(problem, designed, other) for other in further),
+        guarantees=tuple(_guarantee(problem, designed, other) for other in further_plants),
         notes=tuple(notes),
     )
 
 
-def of_structure(
+def structured_candidate(
     name: str, method: str, structure: Structure, values: Sequence[float], problem: Problem
 ) -> Candidate:
-    """A candidate of a structure and its parameter values."""
+    """Return the candidate with a structure and its parameter values."""
     names = [parameter.name for parameter in structure.parameters]
     return Candidate(
         name,
@@ -157,77 +183,91 @@ def of_structure(
     )
 
 
-def of_polynomials(name: str, method: str, controller: Controller, problem: Problem) -> Candidate:
-    """A candidate given by its polynomials in s, sampled by Tustin's rule."""
+def polynomial_candidate(name: str, method: str, controller: Controller, problem: Problem) -> Candidate:
+    """Return the candidate with given polynomials in s, which runs by Tustin's rule."""
     return Candidate(name, method, controller, tustin_law(controller, problem.rig_sampling.period_s), {})
 
 
 def stage_progress(
     on_progress: OnProgress | None, stage: str, evaluations: int, done: int = 0
 ) -> Callable[[Progress], None] | None:
-    """What a searcher's driver calls for one stage, ``done`` of whose evaluations were used before."""
+    """Return what a search calls to report its progress as that of a stage.
+
+    ``done`` is the number of the stage's evaluations that earlier searches used.
+    """
     if on_progress is None:
         return None
     return lambda p: on_progress(stage, replace(p, evaluations=done + p.evaluations), evaluations)
 
 
-def _compared(
-    design_file: DesignFile, problem: Problem, against: Sequence[Plant]
+def _designed_candidate(design_file: DesignFile, synthesis: Synthesis, problem: Problem) -> Candidate:
+    label = design_file.controller.structure.rpartition(":")[2]
+    method = f"structure {label}, largest ε of eq. (13), {synthesis.search.searcher}"
+    if synthesis.setpoint_parameters:
+        method += (
+            f"; {', '.join(synthesis.setpoint_parameters)}, on which no margin depends: the specifications "
+            "met if possible, then least ∫ t |e| dt after a setpoint step"
+        )
+    return structured_candidate(
+        f"{label.upper() if label in STRUCTURES else label} (designed)",
+        method,
+        synthesis.structure,
+        synthesis.values,
+        problem,
+    )
+
+
+def _comparison_candidates(
+    design_file: DesignFile, problem: Problem, plants: Sequence[Plant]
 ) -> tuple[list[Candidate], list[str]]:
-    """HLS, the best PI, ZN and TLC, as far as they exist for this plant."""
-    found, notes = [], []
+    """Return HLS, the best PI, ZN and TLC, and a note for each of them that does not exist for this plant."""
     factor = design_file.weight.gamma_factor
-    found.append(
-        of_polynomials(
+    candidates = [
+        polynomial_candidate(
             "HLS",
             f"conventional H∞ loop shaping, K = W1 K∞ with γ = {factor:g} γ_opt",
             baselines.loop_shaping_controller(problem.loop_plant, problem.weight, factor),
             problem,
         )
-    )
+    ]
+    notes = []
     if design_file.controller.structure != "pi":
-        boxes = {
-            name: Parameter(name, box.low, box.high, box.coding)
-            for name, box in design_file.controller.box.items()
-            if name in ("kp", "ki")
-        }
-        structure = with_bounds(STRUCTURES["pi"], boxes)
         try:
-            best = synthesise(
-                against,
-                problem.weight,
-                structure,
-                sampling=problem.sampling,
-                seed=design_file.search.seed,
-                evaluations=PI_EVALUATIONS,
-            )
+            candidates.append(_best_pi(design_file, problem, plants))
         except DesignError as error:
             notes.append(f"PI: {error}")
-        else:
-            found.append(of_structure("PI", "PI of largest ε", structure, best.values, problem))
     try:
-        cycle = baselines.ultimate_cycle(problem.loop_plant, problem.sampling)
+        candidates += _tuning_rules(problem)
     except DesignError as error:
         notes.append(f"ZN, TLC: {error}")
-        return found, notes
-    reached = f"Ku {cycle.gain:.4g}, Pu {cycle.period_s:.4g} s of this loop, N = {baselines.FILTER_N:g}"
-    for name, rule, tune in (
-        ("ZN", "Ziegler-Nichols", baselines.ziegler_nichols),
-        ("TLC", "Tyreus-Luyben", baselines.tyreus_luyben),
-    ):
-        gains = tune(cycle)
-        found.append(of_structure(name, f"{rule}: {reached}", STRUCTURES["pid"], gains.values, problem))
-    return found, notes
+    return candidates, notes
 
 
-def _setpoint_text(synthesis: Synthesis) -> str:
-    """How the parameters that no margin sees were chosen."""
-    if not synthesis.setpoint_parameters:
-        return ""
-    return (
-        f"; {', '.join(synthesis.setpoint_parameters)}, which no margin sees: the specifications met where "
-        "they can be, then least ∫ t |e| dt of a setpoint step"
+def _best_pi(design_file: DesignFile, problem: Problem, plants: Sequence[Plant]) -> Candidate:
+    """Return the PI of largest margin, in the search ranges that the design file gives for kp and ki."""
+    ranges = search_parameters(design_file.controller.search_ranges)
+    shared = {name: parameter for name, parameter in ranges.items() if name in ("kp", "ki")}
+    structure = with_bounds(STRUCTURES["pi"], shared)
+    best = synthesise(
+        plants,
+        problem.weight,
+        structure,
+        sampling=problem.sampling,
+        seed=design_file.search.seed,
+        evaluations=PI_EVALUATIONS,
     )
+    return structured_candidate("PI", "PI of largest ε", structure, best.values, problem)
+
+
+def _tuning_rules(problem: Problem) -> list[Candidate]:
+    cycle = baselines.ultimate_cycle(problem.loop_plant, problem.sampling)
+    basis = f"Ku {cycle.gain:.4g}, Pu {cycle.period_s:.4g} s of this loop, N = {baselines.FILTER_N:g}"
+    pid = STRUCTURES["pid"]
+    zn, tlc = baselines.ziegler_nichols(cycle), baselines.tyreus_luyben(cycle)
+    return [
+        structured_candidate("ZN", f"Ziegler-Nichols: {basis}", pid, zn.values, problem),
+        structured_candidate("TLC", f"Tyreus-Luyben: {basis}", pid, tlc.values, problem),
+    ]
 
 
 def _guarantee(problem: Problem, designed: Candidate, other: Plant) -> Guarantee:
@@ -241,11 +281,11 @@ def _guarantee(problem: Problem, designed: Candidate, other: Plant) -> Guarantee
     )
 
 
-def _if_reversed(plant: Plant) -> str:
-    """A hint where the plant moves against its input."""
+def _negative_gain_note(plant: Plant) -> str:
+    """Return a note for a plant that moves against its input; empty for any other."""
     if plant.gain_sign > 0.0:
         return ""
     return (
-        "\nNote: the plant's gain is negative: reverse the valve or the potentiometer in the rig file and in "
-        'the model, or give boxes below 0 with coding = "linear"'
+        "\nNote: the plant's gain is negative. Reverse the valve or the potentiometer in the rig file and "
+        'in the model, or give search ranges below 0 with coding = "linear"'
     )

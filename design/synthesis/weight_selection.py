@@ -1,8 +1,8 @@
-"""Weight selection, eqs. (8) and (9): the W1 of largest ε_opt whose loop meets the specifications.
+"""Select the weight W1, eqs. (8) and (9): the largest ε_opt whose loop meets the specifications.
 
-The loop that is specified: gains and crossover are those of the shaped plant Gs; times, overshoot and error
-those of the closed loop with K = W1 K∞, K∞ central for γ = factor γ_opt. Fitness is ε_opt where all hold;
-elsewhere it is graded by the violations, below 0, so that a search finds its way in.
+Gain and crossover are read off the shaped plant Gs. Times, overshoot and error are read off the closed loop
+with K = W1 K∞, where K∞ is the central controller for γ = factor γ_opt. The fitness of a weight is ε_opt if
+all specifications hold, and below 0 otherwise; see ``design.closed_loop.assessment``.
 """
 
 from __future__ import annotations
@@ -38,29 +38,34 @@ from design.search.differential_evolution import DifferentialEvolution
 from design.search.searcher import Progress, Searcher, SearchResult, maximise
 from design.synthesis.structures import IntegralWeight, Structure
 
-LEAST_COMPATIBLE = 0.25
-"""Below this ε_opt the weight is incompatible with robust stability (step 5 of the paper, [17])."""
+MIN_EPS = 0.25
+"""Smallest ε_opt, and smallest ε, of a robust loop (steps 5 and 9 of the paper, after its reference [17])."""
 
 
 @dataclass(frozen=True)
 class WeightSelection:
-    """A weight W1 and what it was chosen for."""
+    """A selected weight W1, its margin and its readings."""
 
     parameters: dict[str, float]
+    """Parameter values by name."""
     weight: TransferFunction
     """W1(s), num and den (n + 1,)."""
     eps_opt: float
+    """Largest margin that any controller has with this weight; over several plants, the smallest of these."""
     gamma_factor: float
+    """Ratio γ/γ_opt of the controller whose loop was read."""
     readings: tuple[Reading, ...]
+    """Specifications, read off the selecting loop; over several plants, off the worst loop."""
     at_bounds: tuple[str, ...]
-    """Parameters that ended at an end of their box: a wider one may allow more."""
+    """Names of the parameters that lie at a search bound; a wider search range may allow a larger ε_opt."""
     sampling: Sampling | None
+    """Sampling of the loop; None for the continuous loop."""
     search: SearchResult
 
     @property
-    def compatible(self) -> bool:
-        """Whether ε_opt is high enough for the weight to be used."""
-        return self.eps_opt >= LEAST_COMPATIBLE
+    def is_compatible(self) -> bool:
+        """True if a loop with this weight can be robust, that is, if ε_opt is at least :data:`MIN_EPS`."""
+        return self.eps_opt >= MIN_EPS
 
 
 def select_weight(
@@ -75,56 +80,62 @@ def select_weight(
     evaluations: int = 2000,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> WeightSelection:
-    """The best weight over one plant, or for the worst of several. Raises DesignError.
+    """Select the best weight for one plant, or for the worst of several.
 
-    ``searcher`` makes one for so many parameters.
+    ``searcher`` makes a searcher for a number of parameters; without it, differential evolution is used with
+    ``seed`` and ``evaluations``. Raises InfeasibleError if no weight meets the specifications, and
+    NotStabilisedError if no weight has a stable loop.
     """
     structure = IntegralWeight() if structure is None else structure
     models = loop_models(plants, sampling)
-    box = SearchBounds(structure.parameters)
+    bounds = SearchBounds(structure.parameters)
 
     def loops(G: TransferFunction, W: TransferFunction) -> tuple[ClosedLoops, Array]:
         Gs = shaped(G, W)
         K_inf, eps_opt = central_controllers(Gs, gamma_factor)
-        num, den = poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den)
-        batch = ClosedLoops(G, one_degree_of_freedom(num, den), W=W, sampling=sampling, desired=Gs)
-        return batch, eps_opt
+        K = one_degree_of_freedom(poly.multiply(W.num, K_inf.num), poly.multiply(W.den, K_inf.den))
+        return ClosedLoops(G, K, W=W, sampling=sampling, desired=Gs), eps_opt
 
     def assessments(points: Array, cutoff: Array | None = None) -> list[Assessment]:
-        W = structure.controller(box.decode(points)).feedback
-        found = []
+        W = structure.controller(bounds.decode(points)).feedback
+        by_plant = []
         for G in models:
             batch, eps_opt = loops(G, W)
-            found.append(assess(batch, eps_opt, batch.stable, specifications, cutoff))
-        return found
+            by_plant.append(assess(batch, eps_opt, batch.stable, specifications, cutoff))
+        return by_plant
 
     def objective(points: Array, cutoff: Array) -> Array:
         return worst(assessments(points, cutoff)).fitness
 
     make = searcher or partial(DifferentialEvolution, seed=seed, evaluations=evaluations)
-    search = maximise(objective, make(len(box)), on_progress)
-    values = box.decode(search.best[None, :])
+    search = maximise(objective, make(len(bounds)), on_progress)
+    values = bounds.decode(search.best[None, :])
     W = structure.controller(values).feedback
-    found = assessments(search.best[None, :])
-    most_violated = int(np.argmax([one.violation[0] for one in found]))
-    read = readings(specifications, loops(models[most_violated], W)[0])
-    parameters = dict(zip(box.names, map(float, values[0]), strict=True))
-    at_bounds = box.at_bounds(search.best)
-    if search.best_fitness < 0.0:
-        limits = limit_notes(plants, sampling, wanted_crossover(specifications))
-        if not all(one.stable[0] for one in found):
-            raise NotStabilisedError(
-                "no weight within the search bounds leaves a loop that its own full-order controller "
-                f"stabilises{limits}"
-            )
-        raise InfeasibleError(compromise("weight", parameters, at_bounds, read) + limits)
-    return WeightSelection(
-        parameters=parameters,
+    best = assessments(search.best[None, :])
+    most_violated = models[int(np.argmax([assessment.violation[0] for assessment in best]))]
+    selection = WeightSelection(
+        parameters=dict(zip(bounds.names, map(float, values[0]), strict=True)),
         weight=TransferFunction(*(np.ravel(p) for p in W)),
-        eps_opt=float(min(one.margin[0] for one in found)),
+        eps_opt=min(float(assessment.margin[0]) for assessment in best),
         gamma_factor=gamma_factor,
-        readings=read,
-        at_bounds=at_bounds,
+        readings=readings(specifications, loops(most_violated, W)[0]),
+        at_bounds=bounds.at_bounds(search.best),
         sampling=sampling,
         search=search,
+    )
+    if search.best_fitness < 0.0:
+        is_stable = all(bool(assessment.stable[0]) for assessment in best)
+        _refuse(selection, is_stable, limit_notes(plants, sampling, wanted_crossover(specifications)))
+    return selection
+
+
+def _refuse(selection: WeightSelection, is_stable: bool, plant_limits: str) -> None:
+    """Raise the error of a search without a feasible weight; ``plant_limits`` says what plants prevent."""
+    if not is_stable:
+        raise NotStabilisedError(
+            "no weight within the search bounds has a loop that its own full-order controller stabilises"
+            + plant_limits
+        )
+    raise InfeasibleError(
+        compromise("weight", selection.parameters, selection.at_bounds, selection.readings) + plant_limits
     )

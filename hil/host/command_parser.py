@@ -53,10 +53,16 @@ class CommandParser(argparse.ArgumentParser):
 
 
 class _ParagraphFormatter(argparse.HelpFormatter):
-    """Fills each paragraph to the width of the terminal, and keeps indented lines."""
+    """Fills each paragraph to the width of the terminal, and keeps indented lines and hyphenated names."""
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         parts = re.split(r"\n(?=\n| )|(?<=\n)\n", text.strip())
         return "\n".join(
-            part if not part.strip() or part.startswith(" ") else textwrap.fill(part, width) for part in parts
+            part
+            if not part.strip() or part.startswith(" ")
+            else textwrap.fill(part, width, break_on_hyphens=False)
+            for part in parts
         )

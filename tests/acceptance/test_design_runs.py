@@ -1,15 +1,17 @@
-"""What was designed runs: the daemon's law and lockstep shell give the response that the report draws."""
+"""Designed controllers in operation: law and lockstep shell give the response that the report draws."""
 
 from __future__ import annotations
 
 import os
 import re
+import shlex
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from unittest import mock
 
 import control
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -24,6 +26,7 @@ from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.cli import main
 from hil.core.control_law import ControlLaw
+from hil.core.documents import to_json
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import Cycle, LogEntry
@@ -38,7 +41,7 @@ from hil.views.summary import StepResponse, summarise
 Values = NDArray[np.float64]
 
 STEP_M = 0.015
-"""Small enough that the kick of ZN's derivative stays within the valve's range and rate."""
+"""Step size for which even the derivative of ZN stays within the valve's range and rate."""
 STEP_AT_PERIOD = 10
 STEMS = {"PID (designed)": "controller", "HLS": "hls", "PI": "pi", "ZN": "zn", "TLC": "tlc"}
 SPAN_M, VALVE_V = 0.33, 10.0
@@ -46,7 +49,7 @@ SPAN_M, VALVE_V = 0.33, 10.0
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What ``hil design`` writes for the paper's plant."""
+    """Folder that ``hil design`` writes for the paper's plant."""
     folder = tmp_path_factory.mktemp("designed")
     before = Path.cwd()
     os.chdir(folder)
@@ -63,8 +66,8 @@ def setup_of(written: Path, name: str) -> RunSetup:
 
 
 def drawn(written: Path, name: str) -> tuple[Values, Values]:
-    """Times and positions of a unit step, read off the figure in the file."""
-    figure = "fig9-tuning-rules" if name in ("ZN", "TLC") else "fig10-steps"
+    """Return times and positions of a unit step, read off the figure in the file."""
+    figure = "tuning-rules" if name in ("ZN", "TLC") else "step-responses"
     (run,) = drawn_curves((written / "figures" / f"{figure}.svg").read_text())[0][name]
     return run[:, 0], run[:, 1]
 
@@ -87,7 +90,7 @@ class Running:
 
 
 def lockstep_step(setup: RunSetup, resolution_bits: int) -> Values:
-    """Positions from the step on, through gateway, frames and boards of so many bits."""
+    """Return positions from the step on, through gateway, frames and boards of the given resolution."""
     running = Running()
     recorder = mock.create_autospec(Recorder, instance=True)
     recorder.hand_over.return_value = None
@@ -100,32 +103,69 @@ def lockstep_step(setup: RunSetup, resolution_bits: int) -> Values:
     return np.array(running.y)[int(np.argmax(np.array(running.r) > 0.0)) :]
 
 
-def test_design_for_the_arms_axis_does_on_the_arm_what_the_report_says(
+def test_a_design_for_an_axis_of_the_arm_has_the_reported_settling_time_on_the_arm(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """README's sequence, both ways: a step up takes a little longer than the model's, one down less."""
+    """README's commands. A step up takes a little longer than that of the model, a step down less."""
     monkeypatch.chdir(tmp_path)
     assert main(["design", "vertical"]) == 0
     text = resources.files("design.models").joinpath("plants/vertical.json").read_text()
     reported = design_controller(read_design("", "design.toml"), read_plant(text, "vertical")).measures[0]
     settling_s = []
     for size in ("0.1", "-0.1"):
-        asked = ["--controller", "vertical=designs/vertical/controller.json"]
-        asked += ["--setpoint", f"vertical=step:{size}@2", "--duration", "8", "--record", f"run{size}.mcap"]
-        assert main(["run", "--lockstep", *asked]) == 0
+        options = ["--controller", "vertical=designs/vertical/controller.json"]
+        options += ["--setpoint", f"vertical=step:{size}@2", "--duration", "8", "--record", f"run{size}.mcap"]
+        assert main(["run", "--lockstep", *options]) == 0
         step = summarise(Recording(Path(f"run{size}.mcap"))).axes["vertical"]
         assert isinstance(step, StepResponse)
         assert step.settling_s is not None
         settling_s.append(step.settling_s)
         assert step.overshoot_percent < 1.0
-    assert max(settling_s) < 1.2, "what was asked for"
+    assert max(settling_s) < 1.2, "the specified settling time"
     assert np.mean(settling_s) == pytest.approx(reported.settling_s, abs=0.05)
 
 
-def test_design_against_two_plants_overshoots_on_neither(
+def test_the_next_command_runs_a_users_own_plant(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command that ``hil design`` prints gives the settling time that its report states.
+
+    The plant is twice as fast as the paper's, so that running another plant would be noticed. Its model
+    contains the rig's delay, which must count once.
+    """
+    monkeypatch.chdir(tmp_path)
+    paper = paper_plant()
+    fast = msgspec.structs.replace(
+        paper,
+        name="my plant",
+        num=[b * 2.0 ** (i + 2) for i, b in enumerate(paper.num)],
+        den=[a * 2.0**i for i, a in enumerate(paper.den)],
+        dead_time_s=PERIOD_S,
+        contains_delay_samples=1,
+        sample_time_s=PERIOD_S,
+    )
+    Path("my plant.json").write_text(to_json(fast))
+    Path("d.toml").write_text(
+        "[specifications]\novershoot = 0.05\nsettling_s = 0.6\nerror = 0.001\nbandwidth_rad_s = 8.0\n"
+    )
+    assert main(["design", "my plant.json", "--design", "d.toml", "--out", "out"]) == 0
+    (line,) = (text for text in capsys.readouterr().out.splitlines() if text.startswith("next"))
+    command = shlex.split(line.removeprefix("next"))
+    assert command[:2] == ["hil", "run"]
+    options = ["--lockstep", "--setpoint", "vertical=step:0.06@1", "--duration", "4", "--record", "run.mcap"]
+    assert main([*command[1:], *options]) == 0
+    reported = design_controller(read_design(Path("d.toml").read_text(), "d.toml"), fast).measures[0]
+    step = summarise(Recording(Path("run.mcap"))).axes["vertical"]
+    assert isinstance(step, StepResponse)
+    assert step.settling_s == pytest.approx(reported.settling_s, abs=0.03)
+    assert step.overshoot_percent == pytest.approx(100.0 * reported.overshoot, abs=1.0)
+    assert reported.settling_s < 0.7, "far from the settling time of the paper's plant, 1.1 s"
+
+
+def test_a_design_against_two_plants_overshoots_on_neither(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """README's: the shipped controller of the rotation axis, designed without load, overshoots under load."""
+    """README's example. The shipped controller, designed without load, overshoots with a load."""
     monkeypatch.chdir(tmp_path)
     readme = (Path(__file__).parents[2] / "README.md").read_text()
     Path("both.toml").write_text(re.findall(r"```toml\n(.*?)```", readme, re.DOTALL)[0])
@@ -134,7 +174,7 @@ def test_design_against_two_plants_overshoots_on_neither(
     for scenario in ("fig14", "fig15"):
         for controller in ("rotation", "both/controller.json"):
             record = Path(f"{scenario}-{len(overshoot)}.mcap")
-            asked = [
+            options = [
                 "--scenario",
                 scenario,
                 "--controller",
@@ -142,7 +182,7 @@ def test_design_against_two_plants_overshoots_on_neither(
                 "--record",
                 str(record),
             ]
-            assert main(["run", "--lockstep", *asked]) == 0
+            assert main(["run", "--lockstep", *options]) == 0
             step = summarise(Recording(record)).axes["rotation"]
             assert isinstance(step, StepResponse)
             overshoot[scenario, controller] = step.overshoot_percent
@@ -152,9 +192,10 @@ def test_design_against_two_plants_overshoots_on_neither(
 
 
 def quantisation_bound_m(candidate: Candidate, resolution_bits: int) -> float:
-    """The most that both converters can move a position: errors times the l1 norms of T and G/(1 + GK).
+    """Return the largest change of a position that quantisation can cause, in m.
 
-    The potentiometer board rounds, the valve board drops the bits that it has not, the frame rounds to 15.
+    It is the sum of the quantisation errors times the l1 norms of T and G/(1 + GK). The potentiometer board
+    rounds, the valve board cuts off the bits that it lacks, and the frame rounds to 15 bits.
     """
     plant = paper_plant()
     G = control.sample_system(control.ss(control.tf(plant.num, plant.den)), PERIOD_S, "zoh")
@@ -167,7 +208,7 @@ def quantisation_bound_m(candidate: Candidate, resolution_bits: int) -> float:
     t = np.arange(0.0, 60.0, PERIOD_S)
 
     def l1(H: control.StateSpace) -> float:
-        # impulse_response scales by 1/period
+        # impulse_response scales by 1/period.
         return float(np.abs(control.impulse_response(H, t).outputs).sum() * PERIOD_S)
 
     position_m = 0.5 * SPAN_M / 2**resolution_bits
@@ -177,12 +218,14 @@ def quantisation_bound_m(candidate: Candidate, resolution_bits: int) -> float:
 
 @pytest.mark.parametrize("bits", [12, 15])
 @pytest.mark.parametrize("name", STEMS)
-def test_lockstep_run_is_the_drawn_response_within_quantisation(written: Path, name: str, bits: int) -> None:
+def test_a_lockstep_run_gives_the_drawn_response_within_quantisation(
+    written: Path, name: str, bits: int
+) -> None:
     setup = setup_of(written, name)
     t, y = drawn(written, name)
     measured = lockstep_step(setup, bits)
     bound_m = quantisation_bound_m(candidate_of(default_design(), name), bits)
-    assert bound_m < 0.1 * STEP_M, "a bound that says something"
+    assert bound_m < 0.1 * STEP_M, "a larger bound would hide errors"
     pixel = 0.003
     k = np.rint(t / PERIOD_S).astype(int)
     np.testing.assert_allclose(measured[k] / STEP_M, y, rtol=0, atol=bound_m / STEP_M + pixel)
@@ -198,7 +241,7 @@ def candidate_of(design: Design, name: str) -> Candidate:
 
 
 def stepped_by_hand(design: Design, candidate: Candidate, setup: RunSetup, periods: int) -> Values:
-    """Law and plant alone: no quantisation, one period of delay."""
+    """Return positions with law and plant alone: no quantisation, and the delay of the design."""
     law, plant = ControlLaw(candidate.law, PERIOD_S), LinearPlant(setup.rig)
     valve = setup.rig.axes["vertical"].valve
     law.initialise(0.0, 0.0, 0.0)
@@ -225,8 +268,8 @@ STRUCTURES = {
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
-def test_law_stepped_by_hand_is_the_computed_response(structure: str) -> None:
-    """To 1e-9, for the designed controller of each structure and every controller it is compared with."""
+def test_a_law_stepped_by_hand_gives_the_computed_response(structure: str) -> None:
+    """The designed controller of each structure, and every controller it is compared with, agree to 1e-9."""
     text = "[search]\nweight_evaluations = 500\ncontroller_evaluations = 2000\n"
     text += f'[controller]\nstructure = "{structure}"\n{STRUCTURES[structure]}\n'
     design = design_controller(read_design(text, "design.toml"), paper_plant())
@@ -238,7 +281,7 @@ def test_law_stepped_by_hand_is_the_computed_response(structure: str) -> None:
 
 
 @pytest.mark.parametrize("delay", [0, 2])
-def test_other_delays(delay: int) -> None:
+def test_other_delays_give_the_computed_response(delay: int) -> None:
     text = f"[loop]\ndelay_samples = {delay}\n"
     text += "[search]\nweight_evaluations = 500\ncontroller_evaluations = 1000\n"
     design = design_controller(read_design(text, "design.toml"), paper_plant())

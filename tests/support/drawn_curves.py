@@ -1,4 +1,4 @@
-"""Values read back off a drawn chart, from its scales and paths alone."""
+"""Read values back off a drawn chart, from its scales and paths alone."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Runs = list[NDArray[np.float64]]
-"""Unbroken pieces of a curve, each (k, 2): x and y."""
+"""Unbroken pieces of a curve, each an array (k, 2) of x and y."""
 
 
 def drawn_curves(svg: str) -> list[dict[str, Runs]]:
-    """By panel, from the top: the curves by their labels."""
+    """Return the curves by their labels, for every panel from the top."""
     panels = []
     for panel in ET.fromstring(svg).iter("{http://www.w3.org/2000/svg}g"):
         if panel.get("class") != "panel":

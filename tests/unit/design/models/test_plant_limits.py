@@ -11,12 +11,12 @@ from design.errors import DesignError, InfeasibleError, NotStabilisedError
 from design.models.plant import Plant, paper_plant
 from design.models.plant_limits import hidden_unstable_mode, performance_limits
 from design.models.sampling import Sampling
-from design.output.advice import warnings
 from design.robustness.central_controller import central_controllers, optimal_margins
 from design.robustness.loop_shaping import shaped
 from design.synthesis.design_file import read_design
 from design.synthesis.fixed_structure import synthesise
 from design.synthesis.procedure import design_controller
+from design.synthesis.recommendation import recommend
 from design.synthesis.structures import STRUCTURES
 from design.synthesis.weight_selection import select_weight
 
@@ -97,6 +97,6 @@ def test_a_margin_that_no_controller_exceeds_is_not_blamed_on_the_structure() ->
     short = "[search]\ncontroller_evaluations = 3000\n"
     design = design_controller(read_design(short, "d.toml"), plant([-1.0, 2.0], [1.0, 3.0, 2.0]))
     assert design.problem.eps_opt > 0.25 > design.eps > 0.9 * design.problem.eps_opt
-    (warning,) = (w for w in warnings(design) if "0.25" in w)
-    assert "no controller has more than" in warning
-    assert "structure" not in warning
+    (objection,) = (text for text in recommend(design).objections if "0.25" in text)
+    assert "no controller has more than" in objection
+    assert "structure" not in objection

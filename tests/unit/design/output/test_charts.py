@@ -1,4 +1,4 @@
-"""Charts: what is drawn can be read back to the values, on every scale."""
+"""Charts: the values can be read back off the drawing, on every scale."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.drawn_curves import drawn_curves
 
-from design.output.charts import Axis, Band, Curve, Limit, Panel, Style, draw
+from design.output.charts import Band, Curve, Limit, Panel, Style, draw
+from design.output.scales import Axis
 
 LINE = Style("#000")
 Values = NDArray[np.float64]
 
 
-def panel(x: Values, y: Values, across: Axis = Axis("x"), up: Axis = Axis("y")) -> Panel:  # noqa: B008
-    return Panel(across, up, (Curve("c", x, y, LINE),))
+def make_panel(x: Values, y: Values, x_axis: Axis | None = None, y_axis: Axis | None = None) -> Panel:
+    return Panel(x_axis or Axis("x"), y_axis or Axis("y"), (Curve("c", x, y, LINE),))
 
 
 @given(
@@ -27,14 +28,16 @@ def panel(x: Values, y: Values, across: Axis = Axis("x"), up: Axis = Axis("y")) 
     st.booleans(),
     st.booleans(),
 )
-def test_curves_read_back(low: float, span: float, x_is_logarithmic: bool, y_is_logarithmic: bool) -> None:
-    """Within half the tenth of a pixel that coordinates are rounded to."""
+def test_values_can_be_read_back(
+    low: float, span: float, x_is_logarithmic: bool, y_is_logarithmic: bool
+) -> None:
+    """Coordinates are rounded to a tenth of a pixel, which limits the accuracy."""
     x = np.linspace(1.0, 100.0, 50)
     y = np.linspace(low, low + span, 50)
     if y_is_logarithmic:
         y = np.exp(np.linspace(0.0, min(span, 50.0), 50))
-    across, up = Axis("x", logarithmic=x_is_logarithmic), Axis("y", logarithmic=y_is_logarithmic)
-    (curve,) = drawn_curves(draw([panel(x, y, across, up)], "name"))[0]["c"]
+    x_axis, y_axis = Axis("x", logarithmic=x_is_logarithmic), Axis("y", logarithmic=y_is_logarithmic)
+    (curve,) = drawn_curves(draw([make_panel(x, y, x_axis, y_axis)], "name"))[0]["c"]
     if y_is_logarithmic:
         np.testing.assert_allclose(np.log(curve[:, 1]), np.log(y), atol=4e-4 * max(np.log(y[-1]), 0.3))
     else:
@@ -45,13 +48,13 @@ def test_curves_read_back(low: float, span: float, x_is_logarithmic: bool, y_is_
         np.testing.assert_allclose(curve[:, 0], x, atol=0.02)
 
 
-def test_gaps_where_values_are_not_finite() -> None:
+def test_a_value_that_is_not_finite_leaves_a_gap() -> None:
     y = np.array([1.0, 2.0, np.nan, 3.0, np.inf, 4.0, 5.0])
-    runs = drawn_curves(draw([panel(np.arange(7.0), y)], "gaps"))[0]["c"]
+    runs = drawn_curves(draw([make_panel(np.arange(7.0), y)], "gaps"))[0]["c"]
     assert [len(run) for run in runs] == [2, 1, 2]
 
 
-def test_held_curves_are_stairs() -> None:
+def test_a_curve_that_holds_is_drawn_as_stairs() -> None:
     stairs = Panel(Axis("x"), Axis("y"), (Curve("c", np.arange(3.0), np.array([1.0, 3.0, 2.0]), LINE, True),))
     (run,) = drawn_curves(draw([stairs], "held"))[0]["c"]
     np.testing.assert_allclose(run, [[0.0, 1.0], [1.0, 1.0], [1.0, 3.0], [2.0, 3.0], [2.0, 2.0]], atol=0.01)
@@ -67,7 +70,7 @@ def test_held_curves_are_stairs() -> None:
         (Axis("a", logarithmic=True, low=1.0, high=10.0), ["1", "2", "5", "10"]),
     ],
 )
-def test_ticks(axis: Axis, labels: list[str]) -> None:
+def test_ticks_have_round_labels(axis: Axis, labels: list[str]) -> None:
     x = np.array([1.0, 2.0])
     svg = draw([Panel(axis, Axis("y"), (Curve("c", x, x, LINE),))], "ticks")
     texts = [element.text for element in ET.fromstring(svg).iter() if element.tag.endswith("text")]
@@ -79,16 +82,16 @@ def test_constant_and_empty_curves_have_a_scale() -> None:
     for y in (np.zeros(3), np.full(3, np.nan), np.full(3, 7.0)):
         for logarithmic in (False, True):
             ET.fromstring(
-                draw([panel(np.arange(1.0, 4.0), y, up=Axis("y", logarithmic=logarithmic))], "flat")
+                draw([make_panel(np.arange(1.0, 4.0), y, y_axis=Axis("y", logarithmic=logarithmic))], "flat")
             )
 
 
-def test_text_is_escaped_and_labels_are_in_one_legend() -> None:
+def test_text_is_escaped_and_every_label_is_once_in_the_legend() -> None:
     x = np.array([0.0, 1.0])
-    nasty = Curve("<b>&", x, x, LINE)
+    marked_up = Curve("<b>&", x, x, LINE)
     two = [
-        Panel(Axis("<x>"), Axis("y"), (nasty,), (Limit(0.5, "<limit>"),), (Band(0.2, 0.4, "<band>"),)),
-        Panel(Axis("<x>"), Axis("y"), (nasty,)),
+        Panel(Axis("<x>"), Axis("y"), (marked_up,), (Limit(0.5, "<limit>"),), (Band(0.2, 0.4, "<band>"),)),
+        Panel(Axis("<x>"), Axis("y"), (marked_up,)),
     ]
     root = ET.fromstring(draw(two, "a <name>"))
     texts = [element.text for element in root.iter() if element.tag.endswith("text")]
@@ -97,9 +100,9 @@ def test_text_is_escaped_and_labels_are_in_one_legend() -> None:
     assert root.get("aria-label") == "a <name>"
 
 
-def test_ids_differ_between_figures_of_one_page() -> None:
+def test_ids_differ_between_the_figures_of_a_page() -> None:
     x = np.array([0.0, 1.0])
-    first, second = draw([panel(x, x), panel(x, x)], "Fig 1"), draw([panel(x, x)], "Fig 2")
+    first, second = draw([make_panel(x, x), make_panel(x, x)], "Fig 1"), draw([make_panel(x, x)], "Fig 2")
     ids = [
         element.get("id")
         for svg in (first, second)

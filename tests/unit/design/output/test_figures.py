@@ -1,10 +1,11 @@
-"""Figs 5 to 11: the curves as drawn, read back, against python-control's computations of the same loops."""
+"""The figures: curves read back off the drawings, compared with python-control's for the same loops."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import control
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -15,8 +16,8 @@ from design.closed_loop.comparison import Candidate
 from design.closed_loop.specifications import Specification
 from design.models.measured_record import ModelFit
 from design.models.plant import paper_plant
-from design.output.figures import Figure, steps, styles
-from design.output.report import design_figures
+from design.output.figure_set import PAPER_NUMBERS, design_figures
+from design.output.figures import Figure, candidate_styles, step_responses
 from design.synthesis.procedure import Design
 
 Values = NDArray[np.float64]
@@ -38,7 +39,7 @@ def continuous_loop(candidate: Candidate) -> tuple[control.TransferFunction, con
 
 
 def sampled_loop(candidate: Candidate) -> tuple[control.StateSpace, control.StateSpace]:
-    """Hold, plant and one sample of delay; the controller by Tustin's rule; both by python-control."""
+    """Return python-control's plant with hold and one sample of delay, and controller by Tustin's rule."""
     G, K = (control.ss(H) for H in continuous_loop(candidate))
     delay = control.ss(control.tf([1.0], [1.0, 0.0], PERIOD_S))
     return control.sample_system(G, PERIOD_S, "zoh") * delay, control.sample_system(K, PERIOD_S, "bilinear")
@@ -48,16 +49,16 @@ LOOPS = {"continuous": (continuous_design, continuous_loop), "sampled": (sampled
 
 
 @pytest.mark.parametrize("loop", LOOPS)
-@pytest.mark.parametrize("key", ["fig9-tuning-rules", "fig10-steps"])
-def test_step_responses(loop: str, key: str) -> None:
-    carried_out, build = LOOPS[loop]
-    design = carried_out()
+@pytest.mark.parametrize("key", ["tuning-rules", "step-responses"])
+def test_step_responses_are_those_of_python_control(loop: str, key: str) -> None:
+    make_design, build = LOOPS[loop]
+    design = make_design()
     figure = figures_of(design)[key]
     drawn = drawn_curves(figure.svg)[0]
-    wanted = {"fig9-tuning-rules": {"ZN", "TLC"}, "fig10-steps": {"PID (designed)", "HLS", "PI"}}[key]
-    assert set(drawn) == wanted
+    expected_names = {"tuning-rules": {"ZN", "TLC"}, "step-responses": {"PID (designed)", "HLS", "PI"}}[key]
+    assert set(drawn) == expected_names
     for candidate in design.candidates:
-        if candidate.name not in wanted:
+        if candidate.name not in expected_names:
             continue
         G, K = build(candidate)
         t, y = curve(figure, 0, candidate.name)
@@ -70,22 +71,22 @@ def test_step_responses(loop: str, key: str) -> None:
         np.testing.assert_allclose(y, expected, atol=0.004)
 
 
-def test_manipulated_variable_of_a_sampled_loop_is_held() -> None:
-    figure = figures_of(sampled_design())["fig10-steps"]
+def test_the_manipulated_variable_of_a_sampled_loop_is_held() -> None:
+    figure = figures_of(sampled_design())["step-responses"]
     t, u = curve(figure, 1, "PID (designed)")
     G, K = sampled_loop(sampled_design().designed)
     expected = control.step_response(control.feedback(K, G), np.arange(0.0, 1.0, PERIOD_S)).outputs
     held = np.floor(t / PERIOD_S + 0.5)
     rising = (np.diff(t, prepend=-1.0) > 0.5 * PERIOD_S) & (t < 0.9)
-    # After each rise in time the value is still the one before.
+    # At the end of each horizontal piece the value is still that of the period before.
     np.testing.assert_allclose(u[rising][1:], expected[held[rising][1:].astype(int) - 1], atol=0.15)
 
 
 @pytest.mark.parametrize("loop", LOOPS)
-def test_bode(loop: str) -> None:
-    carried_out, build = LOOPS[loop]
-    design = carried_out()
-    figure = figures_of(design)["fig7-bode"]
+def test_bode_diagram_is_that_of_python_control(loop: str) -> None:
+    make_design, build = LOOPS[loop]
+    design = make_design()
+    figure = figures_of(design)["open-loops"]
     assert set(drawn_curves(figure.svg)[0]) == {"plant G", "shaped plant Gs", "G·PID (designed)", "G·HLS"}
     for candidate in design.candidates[:2]:
         G, K = build(candidate)
@@ -103,17 +104,17 @@ def test_bode(loop: str) -> None:
 
 
 @pytest.mark.parametrize("loop", LOOPS)
-def test_robustness(loop: str) -> None:
-    """Fig. 11: 1/|T|, 1/|KS|, |GS|."""
-    carried_out, build = LOOPS[loop]
-    design = carried_out()
+def test_robustness_gains_are_those_of_python_control(loop: str) -> None:
+    """1/|T|, 1/|KS| and |GS|."""
+    make_design, build = LOOPS[loop]
+    design = make_design()
     figures = figures_of(design)
     for candidate in design.candidates:
         G, K = build(candidate)
         kinds = {
-            "fig11a-multiplicative": lambda w, G=G, K=K: 1.0 / control.feedback(G * K)(w),
-            "fig11b-additive": lambda w, G=G, K=K: 1.0 / control.feedback(K, G)(w),
-            "fig11c-disturbance": lambda w, G=G, K=K: control.feedback(G, K)(w),
+            "multiplicative-perturbation": lambda w, G=G, K=K: 1.0 / control.feedback(G * K)(w),
+            "additive-perturbation": lambda w, G=G, K=K: 1.0 / control.feedback(K, G)(w),
+            "disturbance-gain": lambda w, G=G, K=K: control.feedback(G, K)(w),
         }
         for key, value in kinds.items():
             omega, drawn = curve(figures[key], 0, candidate.name)
@@ -122,8 +123,8 @@ def test_robustness(loop: str) -> None:
             np.testing.assert_allclose(drawn[some], np.abs(value(at)), rtol=0.08, err_msg=key)
 
 
-@pytest.mark.parametrize("key", ["fig6-weight-convergence", "fig8-convergence"])
-def test_convergence_is_the_searchs_own(key: str) -> None:
+@pytest.mark.parametrize("key", ["weight-convergence", "controller-convergence"])
+def test_convergence_is_that_of_the_search(key: str) -> None:
     design = sampled_design()
     search = design.weight.search if "weight" in key else design.synthesis.search
     figure = figures_of(design)[key]
@@ -132,40 +133,54 @@ def test_convergence_is_the_searchs_own(key: str) -> None:
     assert generation[-1] == pytest.approx(len(search.convergence), abs=0.2)
     assert best[-1] == pytest.approx(search.best_fitness, abs=1e-3)
     assert f"{search.best_fitness:.5f}" in figure.caption
-    assert f"{search.evaluations} in all" in figure.caption
+    assert f"{search.evaluations} candidates in all" in figure.caption
     feasible = sum(p.best_fitness > 0.0 for p in search.convergence)
     assert len(generation) == 2 * feasible - 1
 
 
-def test_record_and_model() -> None:
+def test_the_record_and_the_model_are_drawn() -> None:
     t = np.arange(50) * 0.1
     fit = ModelFit("r.csv", t, np.sign(np.sin(t)), np.cos(t), np.cos(t) + 0.1)
     figure = design_figures(sampled_design(), fit)[0]
-    assert figure.key == "fig5-identification"
+    assert figure.key == "identification"
     assert f"{fit.fit_percent:.2f} %" in figure.caption
     np.testing.assert_allclose(curve(figure, 0, "measured")[1], fit.measured, atol=0.006)
     np.testing.assert_allclose(curve(figure, 0, "model")[1], fit.model, atol=0.006)
 
 
-def test_without_a_record_fig_5_is_not_drawn() -> None:
-    assert "fig5-identification" not in figures_of(sampled_design())
+def test_without_a_record_there_is_no_identification_figure() -> None:
+    assert "identification" not in figures_of(sampled_design())
 
 
-def test_steps_are_drawn_on_their_own_time_scale() -> None:
-    """One loop much slower than the others, or a limit that all are far within, squeezes none of them."""
+def test_the_time_axis_suits_the_fast_loops() -> None:
+    """A loop that is much slower than the others, or a limit far beyond all loops, does not compress them."""
     design = sampled_design()
     pairs = list(zip(design.candidates, design.measures, strict=True))[:2]
 
-    def drawn_s(settling_s: float, other_s: float, limit_s: float) -> tuple[float, bool]:
+    def drawn_time_s(settling_s: float, other_s: float, limit_s: float) -> tuple[float, bool]:
         chosen = [
             (candidate, replace(measures, settling_s=value))
             for (candidate, measures), value in zip(pairs, (settling_s, other_s), strict=True)
         ]
-        asked = [Specification("settling_s", limit_s)]
-        figure = steps("k", "t", "c", design.problem, chosen, styles(design.candidates), asked)
+        specifications = [Specification("settling_s", limit_s)]
+        figure = step_responses(
+            "k", "t", "c", design.problem, chosen, candidate_styles(design.candidates), specifications
+        )
         return float(curve(figure, 0, design.designed.name)[0][-1]), "settled by" in figure.svg
 
-    assert drawn_s(1.1, 1.2, 1.2) == (pytest.approx(2.4, abs=0.02), True)
-    assert drawn_s(1.0, 4000.0, 1.2) == (pytest.approx(8.0, abs=0.02), True)
-    assert drawn_s(1.0, 1.0, 4000.0) == (pytest.approx(2.0, abs=0.02), False)
-    assert drawn_s(np.inf, np.inf, 1.0) == (pytest.approx(6.0, abs=0.02), True)
+    assert drawn_time_s(1.1, 1.2, 1.2) == (pytest.approx(2.4, abs=0.02), True)
+    assert drawn_time_s(1.0, 4000.0, 1.2) == (pytest.approx(8.0, abs=0.02), True)
+    assert drawn_time_s(1.0, 1.0, 4000.0) == (pytest.approx(2.0, abs=0.02), False)
+    assert drawn_time_s(np.inf, np.inf, 1.0) == (pytest.approx(6.0, abs=0.02), True)
+
+
+def test_only_the_papers_plant_has_the_papers_figure_numbers() -> None:
+    """The coefficients decide, not the plant's name."""
+    numbers = list(PAPER_NUMBERS.values())[1:]
+    for figure, number in zip(design_figures(sampled_design()), numbers, strict=True):
+        assert figure.title.startswith(f"{number}. ")
+    design = sampled_design()
+    changed = msgspec.structs.replace(design.plant, num=[0.48, *design.plant.num[1:]])
+    for figure in design_figures(replace(design, plant=changed)):
+        assert "Fig." not in figure.title + figure.caption + figure.svg
+        assert figure.key in PAPER_NUMBERS

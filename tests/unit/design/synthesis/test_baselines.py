@@ -1,4 +1,4 @@
-"""Ultimate cycle, tuning rules, conventional controller: against python-control and the paper."""
+"""Ultimate cycle, tuning rules and conventional controller, compared with python-control and the paper."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from hil.shells.run_setup import SHIPPED_CONTROLLERS
 WITHOUT_DELAY = Sampling(PERIOD_S, delay_samples=0)
 
 
-def plant(num: list[float], den: list[float]) -> Plant:
+def make_plant(num: list[float], den: list[float]) -> Plant:
     return Plant(format="hil-plant", version=1, name="p", input_unit="V", output_unit="m", num=num, den=den)
 
 
-def cycle_of(model: Plant, sampling: Sampling | None) -> UltimateCycle:
-    return ultimate_cycle(model.transfer_function(sampling), sampling)
+def cycle_of(plant: Plant, sampling: Sampling | None) -> UltimateCycle:
+    return ultimate_cycle(plant.transfer_function(sampling), sampling)
 
 
-def test_paper_plant_continuous() -> None:
+def test_ultimate_cycle_of_the_papers_plant_in_the_continuous_loop() -> None:
     cycle = cycle_of(paper_plant(), None)
     assert cycle.gain == pytest.approx(84.55, abs=0.005)
     assert cycle.period_s == pytest.approx(0.4279, abs=0.00005)
 
 
-def test_paper_plant_sampled() -> None:
+def test_ultimate_cycle_of_the_papers_plant_in_the_sampled_loop() -> None:
     cycle = cycle_of(paper_plant(), WITHOUT_DELAY)
     assert cycle.gain == pytest.approx(74.76, abs=0.005)
     assert cycle.period_s == pytest.approx(0.4527, abs=0.00005)
@@ -51,10 +51,10 @@ def test_paper_plant_sampled() -> None:
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_at_the_ultimate_gain_the_sampled_loop_oscillates_with_the_ultimate_period(delay: int) -> None:
-    """python-control's poles of the loop with hold and delay: a pair on the unit circle, the rest inside."""
+    """python-control finds one pair of poles on the unit circle and the others inside it."""
     cycle = cycle_of(paper_plant(), Sampling(PERIOD_S, delay_samples=delay))
-    model = paper_plant()
-    held = control.sample_system(control.tf(model.num, model.den), PERIOD_S, "zoh")
+    plant = paper_plant()
+    held = control.sample_system(control.tf(plant.num, plant.den), PERIOD_S, "zoh")
     loop = control.feedback(cycle.gain * held * control.tf([1.0], [1.0] + [0.0] * delay, PERIOD_S))
     poles = control.poles(loop)
     on_circle = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
@@ -69,17 +69,19 @@ def test_at_the_ultimate_gain_the_sampled_loop_oscillates_with_the_ultimate_peri
     sign=st.sampled_from([1.0, -1.0]),
     is_sampled=st.booleans(),
 )
-def test_stable_below_unstable_above(poles: list[float], gain: float, sign: float, is_sampled: bool) -> None:
+def test_the_loop_is_stable_below_the_ultimate_gain_and_unstable_above(
+    poles: list[float], gain: float, sign: float, is_sampled: bool
+) -> None:
     sampling = Sampling(PERIOD_S) if is_sampled else None
-    G = plant([sign * gain], np.poly(-np.array(poles)).tolist()).transfer_function(sampling)
+    G = make_plant([sign * gain], np.poly(-np.array(poles)).tolist()).transfer_function(sampling)
     ku = ultimate_cycle(G, sampling).gain
     assert np.sign(ku) == sign
     for factor, stable in ((0.999, True), (1.001, False)):
         assert bool(poly.hurwitz(poly.add(G.den, factor * ku * G.num))) is stable
 
 
-def test_first_order_loop_has_a_cycle_only_when_sampled() -> None:
-    first_order = plant([2.0], [1.0, 1.0])
+def test_a_first_order_loop_has_an_ultimate_cycle_only_if_it_is_sampled() -> None:
+    first_order = make_plant([2.0], [1.0, 1.0])
     with pytest.raises(DesignError, match="stays stable at every proportional gain; the sampled loop"):
         cycle_of(first_order, None)
     # 1/(s + 1) held: pole a, gain 2 (1 - a); z = -1 at k = (1 + a)/(2 (1 - a)), two samples a period.
@@ -89,33 +91,33 @@ def test_first_order_loop_has_a_cycle_only_when_sampled() -> None:
     assert cycle.period_s == pytest.approx(2.0 * PERIOD_S, rel=1e-9)
 
 
-def test_unstable_plant_has_the_cycle_at_the_upper_end_of_its_stable_gains() -> None:
+def test_the_ultimate_gain_of_an_unstable_plant_is_the_upper_end_of_its_stable_gains() -> None:
     # (s - 1)(s + 2)(s + 10) + k: Routh gives 20 < k < 108.
-    cycle = cycle_of(plant([1.0], np.poly([1.0, -2.0, -10.0]).tolist()), None)
+    cycle = cycle_of(make_plant([1.0], np.poly([1.0, -2.0, -10.0]).tolist()), None)
     assert cycle.gain == pytest.approx(108.0, rel=1e-9)
 
 
-def test_double_integrator_has_none() -> None:
+def test_a_double_integrator_has_no_ultimate_cycle() -> None:
     with pytest.raises(DesignError, match="no proportional gain stabilises"):
-        cycle_of(plant([1.0], [1.0, 0.0, 0.0]), None)
+        cycle_of(make_plant([1.0], [1.0, 0.0, 0.0]), None)
 
 
-def test_loss_of_stability_without_oscillation_is_no_cycle() -> None:
+def test_a_loop_that_becomes_unstable_without_oscillating_has_no_ultimate_cycle() -> None:
     # (1 - s)/(s + 2): the pole -(2 + k)/(1 - k) leaves through infinity at k = 1.
     with pytest.raises(DesignError, match="drifts instead of oscillating"):
-        cycle_of(plant([-1.0, 1.0], [1.0, 2.0]), None)
+        cycle_of(make_plant([-1.0, 1.0], [1.0, 2.0]), None)
 
 
 @pytest.mark.parametrize(("name", "rule"), [("zn", ziegler_nichols), ("tlc", tyreus_luyben)])
-def test_shipped_controllers_come_out(name: str, rule: object) -> None:
-    """To the digits that Ku 74.76 and Pu 0.4527 were rounded to when the files were written."""
+def test_the_tuning_rules_give_the_shipped_controllers(name: str, rule: object) -> None:
+    """The files were written with Ku 74.76 and Pu 0.4527, so the gains agree to these digits."""
     shipped = read_controller((SHIPPED_CONTROLLERS / f"{name}.json").read_text(), name).law
     assert isinstance(shipped, PidLaw)
     gains = rule(cycle_of(paper_plant(), WITHOUT_DELAY))  # type: ignore[operator]
     assert gains.values == pytest.approx([shipped.kp, shipped.ki, shipped.kd, shipped.tau_d], rel=2e-4)
 
 
-def test_rules_in_closed_form() -> None:
+def test_tuning_rules_in_closed_form() -> None:
     cycle = UltimateCycle(10.0, 2.0)
     assert ziegler_nichols(cycle).values == pytest.approx([6.0, 6.0, 1.5, 0.025])
     assert tyreus_luyben(cycle).values == pytest.approx(
@@ -124,14 +126,14 @@ def test_rules_in_closed_form() -> None:
 
 
 @pytest.mark.parametrize("sampling", [None, Sampling(PERIOD_S, 1)])
-def test_conventional_controller_is_the_riccati_one(sampling: Sampling | None) -> None:
-    """K = W1 K∞ against McFarlane and Glover's formulas, as frequency responses."""
+def test_conventional_controller_is_that_of_the_riccati_equations(sampling: Sampling | None) -> None:
+    """K = W1 K∞ has the frequency response of McFarlane and Glover's formulas."""
     G = paper_plant().transfer_function(sampling)
     W = TransferFunction(np.array([15.535, 6.83]), np.array([1.0, 0.001]))
     K = loop_shaping_controller(G, W, 1.1)
     K_inf = transfer_function(synthesise(shaped(G, W), 1.1).controller)
     s = 1j * np.geomspace(0.01, 100.0, 30)
-    ours = np.polyval(K.num.ravel(), s) / np.polyval(K.den.ravel(), s)
+    computed = np.polyval(K.num.ravel(), s) / np.polyval(K.den.ravel(), s)
     weight = np.polyval(W.num, s) / np.polyval(W.den, s)
-    theirs = weight * np.polyval(K_inf.num.ravel(), s) / np.polyval(K_inf.den.ravel(), s)
-    np.testing.assert_allclose(ours, theirs, rtol=1e-5)
+    expected = weight * np.polyval(K_inf.num.ravel(), s) / np.polyval(K_inf.den.ravel(), s)
+    np.testing.assert_allclose(computed, expected, rtol=1e-5)

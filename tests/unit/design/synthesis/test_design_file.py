@@ -1,4 +1,4 @@
-"""The design file: its defaults, its checks, and the objects that it becomes."""
+"""The design file: its defaults, its checks, and the objects that are made from it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from design.models.sampling import Sampling
 from design.search.differential_evolution import DifferentialEvolution
 from design.search.genetic_algorithm import GeneticAlgorithm
 from design.synthesis.design_file import (
-    PAPER_SPECIFICATIONS,
     ControllerStructure,
     DesignFile,
     example_text,
@@ -30,19 +29,19 @@ from design.synthesis.structures import (
 from hil.core.errors import DocumentError
 
 
-def test_example_states_the_defaults_and_nothing_else() -> None:
-    example, nothing = read_design(example_text(), "design.toml"), DesignFile()
-    assert example.loop == nothing.loop
-    assert example.specifications == nothing.specifications
-    assert example.search == nothing.search
-    assert example.further_plants == nothing.further_plants
-    assert example.weight_structure() == nothing.weight_structure()
-    assert example.controller_structure() == nothing.controller_structure()
-    assert example.axis_unit is nothing.axis_unit is None
+def test_the_example_states_the_defaults_and_no_others() -> None:
+    example, empty = read_design(example_text(), "design.toml"), DesignFile()
+    assert example.loop == empty.loop
+    assert example.specifications == empty.specifications
+    assert example.search == empty.search
+    assert example.further_plants == empty.further_plants
+    assert example.weight_structure() == empty.weight_structure()
+    assert example.controller_structure() == empty.controller_structure()
+    assert example.axis_unit is empty.axis_unit is None
 
 
 def test_every_line_that_the_example_comments_out_is_valid() -> None:
-    """Uncommented one by one; the orders are the structure "free"'s alone."""
+    """Each is uncommented alone; ``orders`` is left out, since only the structure "free" may have it."""
     lines = example_text().splitlines()
     tried = 0
     for i, line in enumerate(lines):
@@ -56,49 +55,45 @@ def test_every_line_that_the_example_comments_out_is_valid() -> None:
     assert tried == 7
 
 
-def test_defaults_are_the_papers_in_the_rigs_loop() -> None:
-    nothing = read_design("", "design.toml")
-    assert nothing.specifications.asked_for() == PAPER
-    assert nothing.sampling == nothing.rig_sampling == Sampling(0.0112, 1)
-    assert nothing.weight_structure() == IntegralWeight()
-    assert nothing.controller_structure() == ProportionalIntegralDerivative()
-    assert (nothing.search.weight_evaluations, nothing.search.controller_evaluations) == (2000, 6000)
+def test_the_defaults_are_the_papers_in_the_loop_of_the_rig() -> None:
+    empty = read_design("", "design.toml")
+    assert empty.specifications.requested() == PAPER
+    assert empty.sampling == empty.rig_sampling == Sampling(0.0112, 1)
+    assert empty.weight_structure() == IntegralWeight()
+    assert empty.controller_structure() == ProportionalIntegralDerivative()
+    assert (empty.search.weight_evaluations, empty.search.controller_evaluations) == (2000, 6000)
 
 
-def test_a_specification_that_is_left_out_is_not_asked_for() -> None:
+def test_a_specification_that_is_left_out_has_no_limit() -> None:
     design = read_design("[specifications]\novershoot = 0.1\nphase_margin_deg = 60\n", "d.toml")
-    assert design.specifications.asked_for() == (
+    assert design.specifications.requested() == (
         Specification("overshoot", 0.1),
         Specification("phase_margin_deg", 60.0),
     )
 
 
-def test_every_quantity_can_be_asked_for() -> None:
+def test_every_quantity_can_be_specified() -> None:
     lines = [
         f"{name} = {{ limit = 3.0, {'up_to_rad_s' if name == 'gain_db' else 'step'} = 0.5 }}"
         if quantity.takes
         else f"{name} = 3.0"
         for name, quantity in QUANTITIES.items()
     ]
-    asked = read_design("\n".join(["[specifications]", *lines]), "d.toml").specifications.asked_for()
-    assert {s.quantity for s in asked} == set(QUANTITIES)
-    assert all(s.limit == 3.0 and s.at == (0.5 if s.kind.takes else 1.0) for s in asked)
+    requested = read_design("\n".join(["[specifications]", *lines]), "d.toml").specifications.requested()
+    assert {s.quantity for s in requested} == set(QUANTITIES)
+    assert all(s.limit == 3.0 and s.at == (0.5 if s.kind.takes else 1.0) for s in requested)
 
 
-def test_paper_specifications_are_the_papers() -> None:
-    assert PAPER_SPECIFICATIONS.asked_for() == PAPER
-
-
-def test_continuous_design_keeps_the_rigs_sampling_for_the_comparison() -> None:
+def test_a_continuous_design_keeps_the_sampling_of_the_rig_for_comparison() -> None:
     design = read_design('[loop]\ndesign = "continuous"\nperiod_s = 0.005\ndelay_samples = 2\n', "d.toml")
     assert design.sampling is None
     assert design.rig_sampling == Sampling(0.005, 2)
 
 
-def test_structures_boxes_and_codings() -> None:
+def test_structures_search_ranges_and_codings() -> None:
     design = read_design(
         '[controller]\nstructure = "lead-lag"\n'
-        '[controller.box]\nk = { low = -5, high = 5, coding = "linear" }\n'
+        '[controller.search_ranges]\nk = { low = -5, high = 5, coding = "linear" }\n'
         '[weight]\nstructure = "pi"\n',
         "d.toml",
     )
@@ -110,13 +105,13 @@ def test_structures_boxes_and_codings() -> None:
     assert design.weight_structure() == STRUCTURES["pi"]
 
 
-def test_free_transfer_function_takes_orders() -> None:
+def test_the_structure_free_is_made_from_its_orders() -> None:
     text = '[controller]\nstructure = "free"\norders = { num = 2, den = 1, integrators = 1 }\n'
     structure = read_design(text, "d.toml").controller_structure()
     assert structure == FreeTransferFunction(2, 1, 1)
 
 
-def test_a_class_of_ones_own_is_found_in_the_working_directory(
+def test_a_users_own_class_is_found_in_the_working_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "my_structures.py").write_text(
@@ -169,7 +164,7 @@ class NoLaw(Mine):
 
 
 @pytest.mark.filterwarnings("ignore:invalid value")
-def test_a_class_of_ones_own_from_a_file_is_tried_before_it_is_used(
+def test_a_users_own_class_is_checked_before_it_is_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "own_file.py").write_text(OWN)
@@ -180,22 +175,22 @@ def test_a_class_of_ones_own_from_a_file_is_tried_before_it_is_used(
         return read_design(f'[controller]\nstructure = "{name}"\n', "d.toml").controller_structure()
 
     assert type(structure("own_file.py:Mine")).__name__ == "Mine"
-    for name, said in {
+    for name, message in {
         "own_file.py:Raises": "KeyError: 'gain'",
         "own_file.py:NotFinite": r"num is not finite at k 0\.",
         "own_file.py:WrongShape": r"num has shape \(5,\) for 5 candidates, not \(5, n \+ 1\)",
-        "own_file.py:Improper": "improper, it cannot run",
-        "own_file.py:NoLaw": "law: gives NoneType, not a law",
+        "own_file.py:Improper": "an improper controller cannot run",
+        "own_file.py:NoLaw": "law: returns NoneType, not a law",
         "nowhere.py:Mine": "nowhere.py: no such file",
         "broken.py:Mine": "SyntaxError",
         "no_such_module:Mine": "No module named 'no_such_module'",
-        "free": "its orders go into a design file",
+        "free": "it needs orders",
     }.items():
-        with pytest.raises(DocumentError, match=said):
+        with pytest.raises(DocumentError, match=message):
             DesignFile(controller=ControllerStructure(structure=name)).controller_structure()
 
 
-def test_searchers() -> None:
+def test_searchers_have_the_seed_and_the_papers_populations() -> None:
     default = read_design("[search]\nseed = 7\n", "d.toml").controller_searcher(4)
     assert isinstance(default, DifferentialEvolution)
     assert default.seed == 7
@@ -214,7 +209,7 @@ def test_searchers() -> None:
         assert count == generations
 
 
-def test_with_seed_changes_nothing_else() -> None:
+def test_with_seed_changes_only_the_seed() -> None:
     changed = DesignFile().with_seed(9)
     assert changed.search.seed == 9
     assert changed.with_seed(1) == DesignFile()
@@ -238,10 +233,21 @@ def test_with_seed_changes_nothing_else() -> None:
         ('[loop]\ndesign = "digital"\n', "loop.design is 'digital', but must be 'continuous' or 'sampled'"),
         ("[weight]\ngamma_factor = 1.0\n", "weight.gamma_factor is 1.0, but must be more than 1.0"),
         ('[weight]\nstructure = "pi"\nb = 0.1\n', r'weight.b: only the structure "integral" has it'),
-        ("[weight.box]\nkw = { low = 2.0, high = 1.0 }\n", "weight.box.kw: low 2.0 is not under high 1.0"),
         (
-            "[weight.box]\nkw = { low = 0.0, high = 1.0 }\n",
-            "weight.box.kw: low 0.0 is not over 0; use coding",
+            "[weight.search_ranges]\nkw = { low = 2.0, high = 1.0 }\n",
+            "weight.search_ranges.kw: low 2 is not below high 1",
+        ),
+        (
+            "[weight.search_ranges]\nkw = { low = 0.0, high = 1.0 }\n",
+            'weight.search_ranges.kw: low 0 is not over 0, .* coding = "linear"',
+        ),
+        (
+            "[weight.box]\nkw = { low = 1.0, high = 2.0 }\n",
+            "weight.box: this key is now weight.search_ranges; rename it",
+        ),
+        (
+            "[controller]\nbox = { kp = { low = 1.0, high = 2.0 } }\n",
+            "controller.box: this key is now controller.search_ranges; rename it",
         ),
         ('[controller]\nstructure = "free"\n', "controller.orders"),
         ("[controller]\norders = { num = 1, den = 1 }\n", "controller.orders"),
@@ -253,13 +259,15 @@ def test_with_seed_changes_nothing_else() -> None:
         ("[search\n", "not valid TOML"),
     ],
 )
-def test_refused_with_file_and_key(text: str, message: str) -> None:
+def test_a_wrong_document_is_refused_with_file_and_key(text: str, message: str) -> None:
     with pytest.raises(DocumentError, match=f"^d.toml.*{message}"):
         read_design(text, "d.toml")
 
 
-def test_unknown_parameter_and_structure_name_what_exists() -> None:
+def test_an_unknown_parameter_or_structure_is_refused_with_those_that_exist() -> None:
     with pytest.raises(DesignError, match=r"no parameter kq; it has kp, ki, kd, tau_d"):
-        read_design("[controller.box]\nkq = { low = 1.0, high = 2.0 }\n", "d").controller_structure()
+        read_design(
+            "[controller.search_ranges]\nkq = { low = 1.0, high = 2.0 }\n", "d"
+        ).controller_structure()
     with pytest.raises(DocumentError, match=r"'pidd': not one of p, pi, pd, pid, .*free"):
         read_design('[controller]\nstructure = "pidd"\n', "d").controller_structure()

@@ -1,4 +1,4 @@
-"""Structures: their polynomials, the laws the daemon runs, and a user's own."""
+"""Structures: their polynomials, the laws that the gateway runs, and a user's own class."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ from design.synthesis.structures import (
     Controller,
     FreeTransferFunction,
     IntegralWeight,
+    ProportionalIntegral,
     Structure,
     TustinLaw,
     one_degree_of_freedom,
     setpoint_parameters,
+    structure_name,
     tustin_law,
 )
 from hil.core.controller_file import PidLaw, StateSpaceLaw, TransferFunctionLaw
@@ -51,7 +53,7 @@ def value(H: TransferFunction, s: complex) -> complex:
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_polynomials(name: str) -> None:
+def test_polynomials_have_the_documented_transfer_function(name: str) -> None:
     values, formula = EXPECTED[name]
     K = STRUCTURES[name].controller(np.array([values]))
     assert value(K.feedback, 2.0j + 0.3) == pytest.approx(formula(2.0j + 0.3))
@@ -59,12 +61,12 @@ def test_polynomials(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_parameters_that_no_margin_sees(name: str) -> None:
+def test_setpoint_parameters_are_found(name: str) -> None:
     assert setpoint_parameters(STRUCTURES[name]) == (("b", "c") if name == "pid-2dof" else ())
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_what_the_daemon_runs_has_the_margin_that_was_designed(name: str) -> None:
+def test_the_law_has_the_margin_of_the_polynomials(name: str) -> None:
     values, _ = EXPECTED[name]
     structure = STRUCTURES[name]
     designed = structure.controller(np.array([values]))
@@ -77,14 +79,14 @@ def test_what_the_daemon_runs_has_the_margin_that_was_designed(name: str) -> Non
         assert reference == pytest.approx(value(TransferFunction(designed.num_r, designed.den), s), rel=1e-11)
 
 
-def test_laws_are_the_plainest_that_will_do() -> None:
+def test_every_structure_becomes_the_simplest_law_that_keeps_its_digits() -> None:
     kinds = {name: type(STRUCTURES[name].law(EXPECTED[name][0], PERIOD_S)) for name in STRUCTURES}
     assert kinds["pid"] is kinds["pid-2dof"] is kinds["p"] is PidLaw
     assert kinds["lead-lag"] is TransferFunctionLaw
     assert kinds["pi-lead"] is StateSpaceLaw, "two poles near z = 1 lose digits as a polynomial"
 
 
-def test_a_law_of_slow_poles_keeps_its_margin() -> None:
+def test_a_law_with_slow_poles_keeps_its_margin() -> None:
     structure = STRUCTURES["pi-lead"]
     generator = np.random.default_rng(1)
     for values in 10.0 ** generator.uniform(-2.0, 2.0, (60, len(structure.parameters))):
@@ -105,7 +107,7 @@ def test_a_loop_shaping_controller_keeps_its_digits_as_a_law() -> None:
     assert value(running.feedback, 0.0) == pytest.approx(value(K.feedback, 0.0), rel=1e-9)
 
 
-def test_free_transfer_function() -> None:
+def test_free_transfer_function_has_coefficients_as_parameters() -> None:
     free = FreeTransferFunction(num_order=1, den_order=2, integrators=1)
     assert [parameter.name for parameter in free.parameters] == ["b1", "b0", "a1", "a0"]
     K = free.controller(np.array([[5.0, 4.0, 3.0, 2.0]]))
@@ -115,7 +117,7 @@ def test_free_transfer_function() -> None:
         FreeTransferFunction(num_order=3, den_order=1)
 
 
-def test_a_users_structure_is_a_small_class() -> None:
+def test_a_small_class_is_a_structure() -> None:
     @dataclass(frozen=True)
     class FilteredIntegral(TustinLaw):
         """ki/(s (tau s + 1))."""
@@ -137,3 +139,14 @@ def test_the_integral_weight_is_equation_3() -> None:
     W = IntegralWeight().controller(np.array([[15.535, 6.83 / 15.535]])).feedback
     np.testing.assert_allclose(W.num[0], [15.535, 6.83])
     np.testing.assert_allclose(W.den[0], [1.0, 0.001])
+
+
+def test_structures_are_named_as_in_a_design_file() -> None:
+    assert [structure_name(structure) for structure in STRUCTURES.values()] == list(STRUCTURES)
+    assert structure_name(FreeTransferFunction(num_order=1, den_order=1)) == "free"
+    assert structure_name(IntegralWeight(b=0.01)) == "integral"
+
+    class Mine(ProportionalIntegral):
+        """A user's own class, named by the user."""
+
+    assert structure_name(Mine()) == "Mine"

@@ -1,4 +1,4 @@
-"""Weight selection: the optimum of eq. (8) on every seed, infeasible and multiple plants, sampled loops."""
+"""Weight selection: the optimum of eq. (8) on every seed, several plants, sampled loops, and refusals."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ def softer(plant: Plant, gain: float) -> Plant:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_optimum_of_equation_8(seed: int) -> None:
+def test_every_seed_finds_the_optimum_of_equation_8(seed: int) -> None:
     weight = select_weight(paper_plant(), seed=seed)
     assert 0.6035 <= weight.eps_opt <= 0.60358
     assert weight.parameters["kw"] == pytest.approx(15.275, rel=2e-3)
     assert weight.parameters["a"] == pytest.approx(0.4312, rel=2e-3)
     assert weight.search.evaluations <= 2000
-    assert weight.compatible
+    assert weight.is_compatible
     assert weight.at_bounds == ()
     values = {reading.quantity: reading for reading in weight.readings}
     assert all(reading.met for reading in weight.readings)
-    # Both limits of the shape bind.
+    # The gain and crossover of the shaped plant lie at their limits.
     assert values["gain_db"].value == pytest.approx(20.0, abs=0.01)
     assert values["bandwidth_rad_s"].value == pytest.approx(4.0, abs=0.01)
 
 
-def test_the_papers_searcher_comes_near() -> None:
-    box = IntegralWeight().parameters
-    linear = {p.name: Parameter(p.name, p.low, p.high, "linear") for p in box}
+def test_the_papers_searcher_comes_near_the_optimum() -> None:
+    parameters = IntegralWeight().parameters
+    linear = {p.name: Parameter(p.name, p.low, p.high, "linear") for p in parameters}
     found = select_weight(
         paper_plant(),
         structure=with_bounds(IntegralWeight(), linear),
@@ -59,8 +59,8 @@ def test_the_papers_searcher_comes_near() -> None:
     assert found.search.searcher == "genetic algorithm"
 
 
-def test_the_papers_own_weight_is_inside() -> None:
-    """With the box shut around eq. (16), its ε_opt and readings come out."""
+def test_the_papers_weight_meets_the_specifications() -> None:
+    """With search ranges closed around eq. (16), the selection has its ε_opt and its coefficients."""
     around = {
         "kw": Parameter("kw", 15.535, 15.535001),
         "a": Parameter("a", 6.83 / 15.535, 6.83 / 15.535 + 1e-9),
@@ -70,13 +70,13 @@ def test_the_papers_own_weight_is_inside() -> None:
     np.testing.assert_allclose(weight.weight.num, W1.num, rtol=1e-6)
 
 
-def test_in_the_sampled_loop() -> None:
+def test_the_optimum_of_the_sampled_loop() -> None:
     weight = select_weight(paper_plant(), sampling=Sampling(PERIOD_S, 1))
     assert weight.eps_opt == pytest.approx(0.58828, abs=5e-5)
     assert all(reading.met for reading in weight.readings)
 
 
-def test_over_several_plants_the_worst_counts() -> None:
+def test_with_several_plants_the_worst_counts() -> None:
     plants = [paper_plant(), softer(paper_plant(), 0.8)]
     both = select_weight(plants, seed=2)
     alone = [select_weight(plant, seed=2) for plant in plants]
@@ -86,7 +86,7 @@ def test_over_several_plants_the_worst_counts() -> None:
     assert both.parameters["kw"] > 1.2 * alone[0].parameters["kw"]
 
 
-def test_any_subset_and_added_specifications() -> None:
+def test_any_set_of_specifications_can_be_used() -> None:
     plain = select_weight(
         paper_plant(), specifications=[Specification("bandwidth_rad_s", 4.0)], evaluations=800
     )
@@ -116,6 +116,6 @@ def test_infeasible_specifications_are_named_at_the_best_compromise() -> None:
     assert "kw" in text
 
 
-def test_a_parameter_at_its_wall_is_told() -> None:
+def test_a_parameter_at_its_search_bound_is_named() -> None:
     narrow = with_bounds(IntegralWeight(), {"kw": Parameter("kw", 15.5, 30.0)})
     assert select_weight(paper_plant(), structure=narrow, evaluations=1200).at_bounds == ("kw",)
