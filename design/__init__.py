@@ -1,49 +1,106 @@
-"""Controller design by H-infinity loop shaping with fixed structures: from plant model to controller file.
+"""From a plant to a controller: identification, and H-infinity loop shaping with fixed structures.
 
-``hil`` never imports this package. Importing it imports nothing else; scipy, control and matplotlib are
-imported where they are used.
+``hil`` never imports this package. The names below are the public API. Each is imported when it is first
+used; scipy, control and matplotlib are imported by the functions that need them.
 
-The whole of ``hil design`` from Python::
+=========================  ==================================================================================
+``load_plant``             read a plant file, or a shipped plant by its name; :class:`Plant`
+``paper_plant``            the paper's plant, eq. (15)
+``load_design``            read a design file; :class:`DesignFile` is the default without one
+``design_controller``      select the weight, eqs. (8), (9), and the controller, eqs. (13), (14);
+                           :class:`Design`
+``write_design``           write report, figures and controller files of a design
+``loop_margins``           margins of a sampled loop, from a plant and a controller file;
+                           :class:`LoopMargins`
+``Sampling``               sample time and delay of a loop
+``plant_to_control``       a plant as a model of python-control
+``plant_from_control``     a model of python-control as a plant
+``controller_to_control``  a controller file, as the gateway runs it, as a model of python-control
+``DesignError``            a design that is not possible as requested
+=========================  ==================================================================================
 
-    from pathlib import Path
-    from design.models.plant import paper_plant
-    from design.output.results import write_design
-    from design.synthesis.design_file import DesignFile
-    from design.synthesis.procedure import design_controller
+>>> import design
+>>> from pathlib import Path
+>>> plant = design.paper_plant()
+>>> result = design.design_controller(design.DesignFile(), plant)
+>>> result.eps > 0.56
+True
+>>> written = design.write_design(result, Path("designs/paper"))
+>>> written.controller
+PosixPath('designs/paper/controller.json')
 
-    plant = paper_plant()                             # or read_plant(text, source)
-    design = design_controller(DesignFile(), plant)   # or read_design(text, source)
-    written = write_design(design, Path("designs/paper"))
-    print(round(design.eps, 4), written.controller, written.recommendation.action)
+The folders: ``mathematics``, ``models``, ``identification``, ``robustness``, ``closed_loop``, ``search`` and
+``synthesis`` compute and do no I/O. ``paper`` reproduces the paper, ``output`` writes results, ``inputs``
+reads files.
 
-Its two searches alone::
-
-    from design.models.sampling import Sampling
-    from design.synthesis.fixed_structure import synthesise
-    from design.synthesis.structures import STRUCTURES
-    from design.synthesis.weight_selection import select_weight
-
-    sampling = Sampling(0.0112, delay_samples=1)      # None: the continuous loop, as in the paper
-    weight = select_weight(plant, sampling=sampling)  # eqs. (8), (9)
-    pid = synthesise(plant, weight.weight, STRUCTURES["pid"], sampling=sampling)  # eqs. (13), (14)
-    law = pid.structure.law(pid.values, sampling.period_s)                        # what the gateway runs
-
-==================  ==================================================================================
-mathematics         batched polynomials, peaks of rational functions, matrix exponential
-models              plants and their documents, realisations, controllers as polynomials, measured records
-identification      plant models from recorded experiments
-robustness          stability margin ε and classical margins, ν-gap, loop shaping (Appendices A and B)
-closed_loop         loops, step responses and their readings, specifications, comparison of controllers
-search              the searcher interface, differential evolution, genetic algorithm, random search, bounds
-synthesis           structures, design file, weight selection, synthesis, the whole procedure, recommendation
-output              report, figures, controller files, terminal output, progress
-paper               the reproduction of the paper
-inputs, cli         reading files, and the command ``hil design``
-python_control      plants and controllers to and from python-control
-==================  ==================================================================================
-
-Conventions: negative feedback. Polynomials are arrays (..., n + 1) of coefficients in falling powers, and the
-leading axes are candidates. A sampled loop is computed in the bilinear plane (see ``design.models.plant``),
-in which Tustin's rule leaves the coefficients of a controller as they are, and all norms are those of the
+Conventions: feedback is negative. Polynomials are arrays (..., n + 1) of coefficients in falling powers, and
+the leading axes are candidates. A sampled loop is computed in the bilinear plane (``models.sampling``), in
+which Tustin's rule leaves the coefficients of a controller as they are, and all norms are those of the
 sampled loop.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from design.errors import DesignError
+    from design.inputs import load_design, load_plant
+    from design.loop_margins import LoopMargins, loop_margins
+    from design.models.plant import Plant, paper_plant
+    from design.models.sampling import Sampling
+    from design.output.results import write_design
+    from design.python_control import controller_to_control, plant_from_control, plant_to_control
+    from design.synthesis.design_file import DesignFile
+    from design.synthesis.procedure import Design, design_controller
+
+_HOMES = {
+    "Design": "design.synthesis.procedure",
+    "DesignError": "design.errors",
+    "DesignFile": "design.synthesis.design_file",
+    "LoopMargins": "design.loop_margins",
+    "Plant": "design.models.plant",
+    "Sampling": "design.models.sampling",
+    "controller_to_control": "design.python_control",
+    "design_controller": "design.synthesis.procedure",
+    "load_design": "design.inputs",
+    "load_plant": "design.inputs",
+    "loop_margins": "design.loop_margins",
+    "paper_plant": "design.models.plant",
+    "plant_from_control": "design.python_control",
+    "plant_to_control": "design.python_control",
+    "write_design": "design.output.results",
+}
+"""Module of each public name."""
+
+__all__ = [
+    "Design",
+    "DesignError",
+    "DesignFile",
+    "LoopMargins",
+    "Plant",
+    "Sampling",
+    "controller_to_control",
+    "design_controller",
+    "load_design",
+    "load_plant",
+    "loop_margins",
+    "paper_plant",
+    "plant_from_control",
+    "plant_to_control",
+    "write_design",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'design' has no attribute {name!r}; it has {', '.join(__all__)}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

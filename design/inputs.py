@@ -6,6 +6,7 @@ record beside them that they were not identified from.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,10 +61,10 @@ def read_inputs(
         requirements = requirements.with_structure(structure)
     if seed is not None:
         requirements = requirements.with_seed(seed)
-    nominal = read_plant_named(plant)
+    nominal = load_plant(plant)
     folder = design_file.parent if design_file else Path()
     names = requirements.further_plants.files
-    further_plants = [read_plant_named(name, folder) for name in names]
+    further_plants = [load_plant(name, folder) for name in names]
     unit = axis_unit or requirements.axis_unit
     if unit is not None:
         check_plant_fits(nominal, plant, unit)
@@ -73,19 +74,27 @@ def read_inputs(
     return Inputs(requirements, nominal, plant_file, further_plants, _compare(nominal, plant, record))
 
 
-def read_plant_named(name: str, folder: Path = Path()) -> Plant:
-    """Read a shipped plant, or a plant file relative to ``folder``. Raises DocumentError."""
+def load_design(path: str | os.PathLike[str]) -> DesignFile:
+    """Read a design file. Raises DocumentError."""
+    from design.synthesis.design_file import read_design
+
+    return read_design(read_text(Path(path)), os.fspath(path))
+
+
+def load_plant(path: str | os.PathLike[str], folder: Path = Path()) -> Plant:
+    """Read a shipped plant by its name, or a plant file relative to ``folder``. Raises DocumentError."""
     from design.models.plant import read_plant
 
+    name = os.fspath(path)
     if name in shipped_plants():
         return read_plant((PLANTS / f"{name}.json").read_text("utf-8"), name)
-    path = folder / name
-    if not path.exists():
+    file = folder / name
+    if not file.exists():
         raise DocumentError(
-            f"plant {name!r}: there is no file {path}, and no shipped plant of this name; shipped are "
+            f"plant {name!r}: there is no file {file}, and no shipped plant of this name; shipped are "
             + ", ".join(shipped_plants())
         )
-    return read_plant(read_text(path), name)
+    return read_plant(read_text(file), name)
 
 
 def shipped_plants() -> list[str]:

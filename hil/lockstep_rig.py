@@ -195,8 +195,9 @@ def run_experiment(
 
     ``record`` is the file to write; it must not exist. ``events`` are texts such as ``payload:3@4``, as
     ``hil run --event`` takes them. ``plants`` puts models from plant files in place of axes of the arm. The
-    run ends after ``duration_s`` seconds of control, or with a fault: see ``metadata["ending"]``. Raises HilError for
-    wrong files and texts, and RecordingExistsError.
+    run ends after ``duration_s`` seconds of control, or with a fault: see ``metadata["ending"]``.
+
+    Raises HilError for wrong files and texts, and RecordingExistsError.
 
     >>> run = run_experiment("experiment.mcap", duration_s=3.0, setpoints={"vertical": "step:0.1@1"})
     >>> run.metadata["ending"]["reason"]

@@ -10,6 +10,7 @@ from types import ModuleType
 import pytest
 
 import design
+import design.loop_margins
 import firmware_sim
 import hil
 import hil.lockstep_rig
@@ -46,6 +47,23 @@ EXPORTED = {
         "read_scenario",
         "shipped_arm",
         "wiring",
+    ],
+    "design": [
+        "Design",
+        "DesignError",
+        "DesignFile",
+        "LoopMargins",
+        "Plant",
+        "Sampling",
+        "controller_to_control",
+        "design_controller",
+        "load_design",
+        "load_plant",
+        "loop_margins",
+        "paper_plant",
+        "plant_from_control",
+        "plant_to_control",
+        "write_design",
     ],
 }
 
@@ -84,7 +102,9 @@ def test_each_package_says_that_it_is_typed(package: ModuleType) -> None:
     assert (Path(package.__file__).parent / "py.typed").exists()
 
 
-@pytest.mark.parametrize("module", [*PACKAGES, hil.lockstep_rig], ids=lambda module: module.__name__)
+@pytest.mark.parametrize(
+    "module", [*PACKAGES, hil.lockstep_rig, design.loop_margins], ids=lambda module: module.__name__
+)
 def test_the_examples_in_the_docstrings_run(
     module: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

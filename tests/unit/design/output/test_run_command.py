@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from support.designs import plain_design
 
-from design.inputs import read_plant_named
+from design.inputs import load_plant
 from design.models.plant import Plant
 from design.models.sampling import Sampling
 from design.output.run_command import run_command, run_notes
@@ -43,7 +43,7 @@ def test_the_papers_plant_is_run_as_a_linear_plant() -> None:
     ],
 )
 def test_a_shipped_model_of_the_arm_is_run_on_the_simulated_arm(plant: str, axis: str) -> None:
-    design = design_for(read_plant_named(plant))
+    design = design_for(load_plant(plant))
     assert run_command(design, CONTROLLER, None) == f"hil run --controller {axis}=out/controller.json"
     assert run_notes(design, None) == []
 
