@@ -309,8 +309,8 @@ def test_init_writes_the_example_and_never_overwrites_a_file(
             {"num": [1.0, 2.0, 3.0], "den": [1.0, 1.0]},
             "plant.json: num has degree 2, den 1: the model is improper",
         ),
-        ({"output_unit": "mm"}, "plant.json: output_unit: 'mm'"),
-        ({"nmu": [1.0]}, "plant.json: object contains unknown field `nmu`"),
+        ({"output_unit": "mm"}, "plant.json: output_unit is 'mm', but must be 'm' or 'rad'"),
+        ({"nmu": [1.0]}, "plant.json: unknown key nmu; did you mean num?"),
     ],
 )
 def test_an_impossible_plant_is_refused(
