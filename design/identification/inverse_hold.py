@@ -1,8 +1,9 @@
-r"""The continuous model behind a zero-order hold of which a sampled model is the image, if there is one.
+"""The continuous model behind a zero-order hold of which a sampled model is the image, if there is one.
 
-The step matrix of the sampled model with its input as a further state is [Φ Γ; 0 1] = exp([A B; 0 0] T), so
-its logarithm gives A and B. A logarithm that is real exists where no pole lies on the negative real axis or at 0,
-and it is unique among modes below half the sampling frequency. Whole samples of delay are a dead time.
+A sampled pole z is the image of s = log(z)/T. The logarithm exists as a real model where no pole lies on the
+negative real axis or at 0, and it is unique among modes below half the sampling frequency. With the poles known,
+the sampled numerator is a linear function of the continuous one, which is inverted. Whole samples of delay are a
+dead time.
 
 A pole on the negative real axis changes sign at each sample; no continuous plant of the same order does that.
 A pole at 0 is a delay or noise. For such models ``nearest_continuous`` fits a continuous model of the same order
@@ -14,19 +15,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import logm
 
 from design.errors import DesignError
 from design.identification.continuous_fit import fit_continuous
 from design.identification.difference_basis import basis
+from design.identification.elimination import solved
 from design.identification.experiment import Experiment
-from design.identification.held_discretisation import hold
-from design.identification.models import ContinuousModel, DiscreteModel
+from design.identification.held_discretisation import held_numerators, hold
+from design.identification.models import ContinuousModel, DiscreteModel, logarithms
 from design.identification.structures import ContinuousPoles
-from design.mathematics.polynomials import Array, multiply
+from design.mathematics.polynomials import Array, from_roots
 
 _ON_THE_AXIS = 1e-7
 """Largest argument, as a distance from π, of a pole that counts as lying on the negative real axis."""
+_FITTED_SAMPLES = 3000
+"""Length of the random inputs with which a nearest model is found and judged."""
+_ROUNDING = 1e-11
+"""Share of the largest term, at the speed of the fastest pole, below which a leading coefficient is rounding."""
 _AT_ZERO = 1e-12
 """Largest modulus of a pole that counts as lying at 0."""
 
@@ -62,22 +67,27 @@ def invert_hold(model: DiscreteModel) -> ContinuousModel:
             f"{len(b)} coefficients in B with {n} poles: no continuous model of order {n} behind a zero-order hold has "
             f"them; choose nb <= {n}, or a continuous structure with a dead time"
         )
-    # x(k + 1) = x(k) + (A x + B u), y = C x + D u, in powers of γ = z - 1, so that slow poles keep their digits.
-    shift = 1 if lag > 0 else 0
-    num = _in_forward_differences(np.concatenate([np.zeros(shift), b]), n)
-    den = _in_forward_differences(model.f[: n + 1], n)
-    num, den = num / den[-1], den / den[-1]
-    direct = num[-1]
-    weights = num[:-1] - direct * den[:-1]
-    speed = float(max((np.abs(den[:-1]) ** (1.0 / np.arange(n, 0, -1))).max(initial=0.0), 1e-6))
-    step = np.zeros((n + 1, n + 1))
-    step[0, :n] = -den[n - 1 :: -1] / speed ** np.arange(1, n + 1) * speed
-    step[np.arange(1, n), np.arange(n - 1)] = speed
-    step[0, n] = speed
-    rates = np.real(logm(np.eye(n + 1) + step)) / T
-    C = weights[::-1] / speed ** np.arange(1, n + 1)
-    num_s, den_s = _transfer_function(rates[:n, :n], rates[:n, n], C, float(direct))
-    return ContinuousModel(num_s, den_s, max(lag - 1, 0) * T)
+    f = model.f[: n + 1]
+    direct = float(b[0]) if lag == 0 else 0.0
+    delayed = np.concatenate([np.zeros(min(lag, 1)), b, np.zeros(n)])[: n + 1] - direct * f
+    poles = logarithms(f, T)
+    den = from_roots(poles[None])[0].real
+    num = np.concatenate([np.zeros(1), _continuous_numerator(den, f, delayed[1:], T)]) + direct * den
+    speed = np.abs(poles).max(initial=1e-3 / T)
+    sizes = np.abs(num) * speed ** np.arange(n, -1.0, -1.0)
+    first = int(np.argmax(sizes > _ROUNDING * sizes.max(initial=0.0)))
+    return ContinuousModel(num[first:], den, max(lag - 1, 0) * T)
+
+
+def _continuous_numerator(den: Array, f: Array, b: Array, sample_time_s: float) -> Array:
+    """Numerator (n,) in falling powers of s, whose sampled image over f is b (n,)."""
+    n = len(den) - 1
+    if n == 0:
+        return np.zeros(0)
+    images = held_numerators(den[None], f[None], 0, np.zeros(1), n, sample_time_s)[0, :-1]
+    V = basis(n)
+    rows, right = V @ images, V @ b
+    return solved(rows, right)[::-1]
 
 
 def _check_poles(model: DiscreteModel) -> None:
@@ -94,37 +104,24 @@ def _check_poles(model: DiscreteModel) -> None:
             )
 
 
-def _in_forward_differences(p: Array, n: int) -> Array:
-    """Coefficients (n + 1,) in rising powers of z - 1 of z^n p(1/z), for p in rising powers of 1/z."""
-    padded = np.concatenate([p, np.zeros(n + 1 - len(p))])
-    rising = basis(n + 1) @ padded
-    # With γ = z - 1: 1 - 1/z = γ/(1 + γ).
-    total = np.zeros(n + 1)
-    for i, coefficient in enumerate(rising):
-        power = np.ones(1)
-        for _ in range(n - i):
-            power = np.convolve(power, [1.0, 1.0])
-        total[i:] += coefficient * power
-    return total
+def nearest_continuous(model: DiscreteModel) -> Nearest:
+    """Return a continuous model with a dead time whose sampled output is close to that of ``model``.
 
-
-def _transfer_function(A: Array, B: Array, C: Array, direct: float) -> tuple[Array, Array]:
-    """num and den in falling powers of s, by Faddeev and Leverrier's recursion in time scaled by the fastest pole."""
-    n = len(A)
-    speed = max(float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)), 1e-300)
-    scaled = A / speed
-    den, num, M = [1.0], [], np.eye(n)
-    for k in range(1, n + 1):
-        num.append(float(C @ M @ B))
-        den.append(-float(np.trace(scaled @ M)) / k)
-        M = scaled @ M + den[-1] * np.eye(n)
-    powers = speed ** np.arange(n + 1.0)
-    full = np.array(den) * powers
-    top = np.concatenate([[0.0], np.array(num) * powers[:n]])
-    top = top + direct * full
-    significant = np.abs(top) / powers > 1e-13 * (np.abs(top) / powers).max(initial=0.0)
-    first = int(np.argmax(significant)) if significant.any() else n
-    return top[first:], full
-
-
-__all__ = ["Nearest", "NoContinuousModelError", "invert_hold", "nearest_continuous"]
+    It has the order of ``model`` without poles at 0, and is fitted to the response to a random input. Raises
+    NoContinuousModelError for an unstable model.
+    """
+    if not model.stable:
+        raise NoContinuousModelError("the sampled model is unstable: no continuous model is fitted to its response")
+    order = max(int(np.count_nonzero(np.abs(model.poles_z) > 1e-3)), 1)
+    dead_samples = model.nk + len(model.b) + len(model.f) - 2
+    structure = ContinuousPoles(
+        real=order % 2, pairs=order // 2, zeros=order - 1, max_dead_time_s=dead_samples * model.sample_time_s
+    )
+    random = np.random.default_rng(0)
+    fitted, other = (np.repeat(random.choice([-1.0, 1.0], _FITTED_SAMPLES // held), held) for held in (2, 3))
+    record = Experiment(fitted, model.simulate(fitted), model.sample_time_s, name="sampled model")
+    found = fit_continuous([record], structure).continuous
+    assert found is not None
+    expected = model.simulate(other)
+    error = np.linalg.norm(hold(found, model.sample_time_s).simulate(other) - expected)
+    return Nearest(found, 100.0 * (1.0 - float(error / np.linalg.norm(expected - expected.mean()))))

@@ -20,7 +20,7 @@ powers of time that are estimated begin at the number of integrators.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +61,10 @@ class Simulated:
     """Factors (v,) of the numerators."""
     columns: list[Array]
     reduced: Reduced
+
+    def with_gains(self, gains: Array) -> Simulated:
+        """The same dynamics with given factors of the numerators. The cost is no longer that of these factors."""
+        return replace(self, gains=gains)
 
     @property
     def b(self) -> Array:
@@ -161,6 +165,13 @@ class SimulationError:
             motion = local @ block[:n] + beta @ block[n + c : -1]
             residual = stretch.y - motion - common @ block[n : n + c]
             found.append(Fitted(stretch, motion, common, residual))
+        return found
+
+    def outputs(self, simulated: Simulated) -> list[tuple[Stretch, Array]]:
+        """Model output (m,) with initial state, offset and drift on each stretch."""
+        found = []
+        for fitted, powers in zip(self.fitted(simulated), self._common, strict=True):
+            found.append((fitted.stretch, fitted.motion + fitted.common @ powers))
         return found
 
     def _chained(self, X: Array, S: Array, simulated: Simulated, slopes: Slopes) -> tuple[Array, Array]:
