@@ -91,6 +91,14 @@ class Experiment:
         """This record with the samples ``without`` (N,) marked as not counting."""
         return replace(self, weights=np.where(np.asarray(without, dtype=bool), 0.0, self.weights))
 
+    def interrupted(self, at: ArrayLike) -> Experiment:
+        """This record with the samples ``at`` (N,) as an interruption: afterwards the plant is in an unknown state.
+
+        For times at which no linear model holds, such as those at an end stop.
+        """
+        flags = np.asarray(at, dtype=bool)
+        return replace(self, u=np.where(flags, np.nan, self.u), weights=np.where(flags, 0.0, self.weights))
+
     def at_the_actuator(self) -> Experiment:
         """This record with the transport delay removed: u[k] acts in period k. Its first inputs are unknown."""
         delay = self.transport_delay_samples

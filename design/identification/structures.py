@@ -11,6 +11,10 @@ MAX_ORDER = 12
 """Largest order of a polynomial. Beyond it, double precision cannot represent a fast-sampled denominator."""
 
 
+MAX_REGRESSION = 30
+"""Largest order of a polynomial of an ARX model, whose coefficients are found by linear least squares."""
+
+
 @dataclass(frozen=True)
 class OutputError:
     """y = q^-nk B/F u + e, with nb coefficients in B and nf in F."""
@@ -35,7 +39,7 @@ class Arx:
     nk: int = 1
 
     def __post_init__(self) -> None:
-        _check(str(self), positive={"nb": self.nb}, others={"na": self.na, "nk": self.nk})
+        _check(str(self), {"nb": self.nb}, {"na": self.na, "nk": self.nk}, MAX_REGRESSION)
 
     def __str__(self) -> str:
         return f"ARX({self.na},{self.nb},{self.nk})"
@@ -159,7 +163,9 @@ def _keywords(text: str, parts: list[str]) -> dict[str, float]:
     return values
 
 
-def _check(structure: str, positive: dict[str, int], others: dict[str, int]) -> None:
+def _check(
+    structure: str, positive: dict[str, int], others: dict[str, int], largest: int = MAX_ORDER
+) -> None:
     for key, value in positive.items():
         if value < 1:
             raise DesignError(f"{structure}: {key} = {value}; it must be at least 1")
@@ -167,5 +173,5 @@ def _check(structure: str, positive: dict[str, int], others: dict[str, int]) -> 
         if value < 0:
             raise DesignError(f"{structure}: {key} = {value}; it cannot be negative")
     for key, value in {**positive, **others}.items():
-        if key != "nk" and value > MAX_ORDER:
-            raise DesignError(f"{structure}: {key} = {value}; at most {MAX_ORDER} is supported")
+        if key != "nk" and value > largest:
+            raise DesignError(f"{structure}: {key} = {value}; at most {largest} is supported")
