@@ -92,7 +92,9 @@ class BoxJenkinsError:
             return None
         plant = [self._plant_columns(stretch, f) for stretch in self.stretches]
         columns = [
-            np.concatenate([self._noise_states(run, c), lfilter(d, c, plant[run.stretch][:, run.first : run.last])])
+            np.concatenate(
+                [self._noise_states(run, c), lfilter(d, c, plant[run.stretch][:, run.first : run.last])]
+            )
             for run in self.runs
         ]
         reduced = self._reduce(columns)
@@ -131,7 +133,9 @@ class BoxJenkinsError:
         s = self.structure
         impulse = np.zeros(len(stretch))
         impulse[0] = 1.0
-        t = np.arange(stretch.start, stretch.start + len(stretch)) / max(len(self.experiments[stretch.experiment]) - 1, 1)
+        t = np.arange(stretch.start, stretch.start + len(stretch)) / max(
+            len(self.experiments[stretch.experiment]) - 1, 1
+        )
         return np.concatenate(
             [
                 differences(lfilter([1.0], f, impulse), s.nf, 0),
@@ -155,7 +159,9 @@ class BoxJenkinsError:
             plant, common = trial.plant[run.stretch], self._common(trial, run)
             motion = common[: s.nf] @ plant[: s.nf] + shared[:-1] @ plant[s.nf + 1 + self.drift : -1]
             part = slice(run.first, run.last)
-            noise = plant[-1, part] - motion[part] - common[s.nf :] @ plant[s.nf : s.nf + 1 + self.drift, part]
+            noise = (
+                plant[-1, part] - motion[part] - common[s.nf :] @ plant[s.nf : s.nf + 1 + self.drift, part]
+            )
             by_c = differences(lfilter([1.0], c, e), s.nc, 1)
             by_d = -differences(lfilter([1.0], c, noise), s.nd, 1)
             by_f = -differences(lfilter([1.0], f, motion), s.nf, 1)[:, part]
@@ -179,7 +185,9 @@ class BoxJenkinsError:
         return reduce(weighted, [run.stretch for run in self.runs], layout)
 
 
-def fit_box_jenkins(experiments: Sequence[Experiment], structure: BoxJenkins, *, drift: bool = False) -> Estimate:
+def fit_box_jenkins(
+    experiments: Sequence[Experiment], structure: BoxJenkins, *, drift: bool = False
+) -> Estimate:
     """Fit a Box-Jenkins model to one or more experiments of one sample time.
 
     Raises DesignError where the data cannot determine so many unknowns.
@@ -208,7 +216,10 @@ def fit_box_jenkins(experiments: Sequence[Experiment], structure: BoxJenkins, *,
     return Estimate(
         structure=s,
         parameters=Parameters(
-            tuple(f"{letter} in (1 - 1/z)^{i}" for letter, n in counts for i in range(n)), values, uncertain.matrix, build
+            tuple(f"{letter} in (1 - 1/z)^{i}" for letter, n in counts for i in range(n)),
+            values,
+            uncertain.matrix,
+            build,
         ),
         experiments=tuple(experiments),
         residuals=tuple(residuals),

@@ -9,7 +9,7 @@ the poles followed along; then it is searched together with them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,12 +84,16 @@ class HeldPoles:
         dens = np.array([self.continuous_den(theta) for theta in poles])
         f = np.array([self.sections.f(theta) for theta in poles])
         for _ in range(self.integrators):
-            f = np.concatenate([f, np.zeros((len(f), 1))], axis=1) - np.concatenate([np.zeros((len(f), 1)), f], axis=1)
+            f = np.concatenate([f, np.zeros((len(f), 1))], axis=1) - np.concatenate(
+                [np.zeros((len(f), 1)), f], axis=1
+            )
         T = self.sections.sample_time_s
         return f, held_numerators(dens, f, whole, rest, self.zeros + 1, T)
 
 
-def fit_continuous(experiments: Sequence[Experiment], structure: ContinuousPoles, *, drift: bool = False) -> Estimate:
+def fit_continuous(
+    experiments: Sequence[Experiment], structure: ContinuousPoles, *, drift: bool = False
+) -> Estimate:
     """Fit continuous poles, zeros and a dead time to one or more experiments of one sample time.
 
     Each experiment has its own offset and initial state and, with ``drift``, a slope of its output; behind an
@@ -105,23 +109,41 @@ def fit_continuous(experiments: Sequence[Experiment], structure: ContinuousPoles
     check_samples(data.residuals, parameters + data.unknowns(structure.order), str(structure))
     model = HeldPoles(sections, structure.zeros, structure.integrators, bool(most), 0.0, most)
     problem = DynamicsProblem(data, model)
-    outcome = _best(problem, [_with_dead_time(data, model, theta) for theta in _starts(data, model)] if most else _starts(data, model))
+    outcome = _best(
+        problem,
+        [_with_dead_time(data, model, theta) for theta in _starts(data, model)]
+        if most
+        else _starts(data, model),
+    )
     if outcome is None:
-        raise DesignError(f"{structure}: no model can be simulated on the data; check the units of the signals")
+        raise DesignError(
+            f"{structure}: no model can be simulated on the data; check the units of the signals"
+        )
     gains = outcome.trial.simulated.gains
     count = len(gains)
 
     def build(values: Array) -> Models:
         theta = values[count:]
         dead_time_s = float(theta[-1]) * T if most else 0.0
-        continuous = ContinuousModel(values[count - 1 :: -1], model.continuous_den(theta[: sections.order]), max(dead_time_s, 0.0))
+        continuous = ContinuousModel(
+            values[count - 1 :: -1], model.continuous_den(theta[: sections.order]), max(dead_time_s, 0.0)
+        )
         return Models(hold(continuous, T), continuous)
 
     names = [f"numerator s^{i}" for i in range(count)]
     names += [f"log real pole {i + 1}" for i in range(sections.real)]
-    names += [f"log {part} {i + 1}" for i in range(sections.pairs) for part in ("natural frequency", "damping")]
+    names += [
+        f"log {part} {i + 1}" for i in range(sections.pairs) for part in ("natural frequency", "damping")
+    ]
     names += ["dead time in samples"] if most else []
-    return estimated(problem, outcome, Assembly(structure, tuple(names), np.concatenate([gains, outcome.theta]), build))
+    if most and outcome.theta[-1] < 0.5 * most:
+        # No dead time at all is an answer, not a bound of the search.
+        outcome = replace(
+            outcome, at_bound=outcome.at_bound & (np.arange(len(outcome.theta)) < sections.order)
+        )
+    return estimated(
+        problem, outcome, Assembly(structure, tuple(names), np.concatenate([gains, outcome.theta]), build)
+    )
 
 
 def _starts(data: SimulationError, model: HeldPoles) -> list[Array]:
@@ -152,5 +174,9 @@ def _with_dead_time(data: SimulationError, model: HeldPoles, theta: Array) -> Ar
 
 
 def _best(problem: DynamicsProblem, starts: Sequence[Array]) -> Outcome[Candidate] | None:
-    found = [outcome for theta in starts if (outcome := minimise(problem, theta, STATISTICAL_TOLERANCE)) is not None]
+    found = [
+        outcome
+        for theta in starts
+        if (outcome := minimise(problem, theta, STATISTICAL_TOLERANCE)) is not None
+    ]
     return min(found, key=lambda outcome: outcome.trial.cost, default=None)

@@ -32,7 +32,9 @@ def correlation(pairs: Sequence[Pair], lags: int) -> tuple[Array, Array]:
         if first_known.all() and second_known.all():
             counts[: reach + 1] += len(first) - np.arange(reach + 1)
         else:
-            counts[: reach + 1] += np.rint(_products(first_known.astype(float), second_known.astype(float), reach))
+            counts[: reach + 1] += np.rint(
+                _products(first_known.astype(float), second_known.astype(float), reach)
+            )
     return sums, counts
 
 

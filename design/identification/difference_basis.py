@@ -18,7 +18,9 @@ from design.mathematics.polynomials import Array
 @lru_cache
 def basis(count: int) -> Array:
     """Matrix V (n, n) from coefficients of (1 - z^-1)^i to coefficients of z^-i. It is its own inverse."""
-    V = np.array([[(-1.0) ** i * comb(j, i) for j in range(count)] for i in range(count)]).reshape(count, count)
+    V = np.array([[(-1.0) ** i * comb(j, i) for j in range(count)] for i in range(count)]).reshape(
+        count, count
+    )
     V.flags.writeable = False
     return V
 

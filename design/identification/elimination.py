@@ -65,7 +65,9 @@ def reduce(columns: Sequence[Array], experiments: Sequence[int], layout: Layout)
         R = parts[0] if len(parts) == 1 else triangle(np.concatenate(parts).T)
         common[experiment] = R[:c]
         rest.append(R[c:, c:])
-    return Reduced(layout, local, common, _square(rest[0] if len(rest) == 1 else triangle(np.concatenate(rest).T)))
+    return Reduced(
+        layout, local, common, _square(rest[0] if len(rest) == 1 else triangle(np.concatenate(rest).T))
+    )
 
 
 def projected(columns: Sequence[Array], experiments: Sequence[int], reduced: Reduced) -> list[Array]:

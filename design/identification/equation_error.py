@@ -61,7 +61,9 @@ class EquationError:
 
     max_step = np.inf
 
-    def __init__(self, experiments: Sequence[Experiment], na: int, nb: int, nc: int, nk: int, drift: bool) -> None:
+    def __init__(
+        self, experiments: Sequence[Experiment], na: int, nb: int, nc: int, nk: int, drift: bool
+    ) -> None:
         self.na, self.nb, self.nc, self.drift = na, nb, nc, drift
         self.runs = [run for i, e in enumerate(experiments) for run in _runs(i, e, na, nb, nk, drift, nc + 1)]
         self.residuals = sum(len(run.y) for run in self.runs)
@@ -130,7 +132,9 @@ class EquationError:
         return reduce(weighted, [run.experiment for run in self.runs], layout)
 
 
-def fit_equation_error(experiments: Sequence[Experiment], structure: Arx | Armax, *, drift: bool = False) -> Estimate:
+def fit_equation_error(
+    experiments: Sequence[Experiment], structure: Arx | Armax, *, drift: bool = False
+) -> Estimate:
     """Fit an ARX or ARMAX model to one or more experiments of one sample time.
 
     Raises DesignError where the data cannot determine so many unknowns.
@@ -141,11 +145,15 @@ def fit_equation_error(experiments: Sequence[Experiment], structure: Arx | Armax
     check_samples(problem.residuals, problem.unknowns, str(structure))
     found = [
         outcome
-        for start in ([np.zeros(0)] if not nc else [_noise_start(experiments, structure, nc, drift), np.zeros(nc)])
+        for start in (
+            [np.zeros(0)] if not nc else [_noise_start(experiments, structure, nc, drift), np.zeros(nc)]
+        )
         if (outcome := minimise(problem, start)) is not None
     ]
     if not found:
-        raise DesignError(f"{structure}: no model can be computed on the data; check the units of the signals")
+        raise DesignError(
+            f"{structure}: no model can be computed on the data; check the units of the signals"
+        )
     outcome = min(found, key=lambda outcome: outcome.trial.cost)
     trial, T = outcome.trial, experiments[0].sample_time_s
 
@@ -163,13 +171,17 @@ def fit_equation_error(experiments: Sequence[Experiment], structure: Arx | Armax
     residuals = [np.full(len(experiment), np.nan) for experiment in experiments]
     for run, e in zip(problem.runs, errors, strict=True):
         residuals[run.experiment][run.start : run.start + len(e)] = e
-    names = [f"{letter} in (1 - 1/z)^{i}" for letter, n in (("a", na), ("b", nb), ("c", nc)) for i in range(n)]
+    names = [
+        f"{letter} in (1 - 1/z)^{i}" for letter, n in (("a", na), ("b", nb), ("c", nc)) for i in range(n)
+    ]
     return Estimate(
         structure=structure,
         parameters=Parameters(tuple(names), values, uncertain.matrix, build),
         experiments=tuple(experiments),
         residuals=tuple(residuals),
-        offsets=tuple(_offsets(problem, trial, i, e, build(values).discrete) for i, e in enumerate(experiments)),
+        offsets=tuple(
+            _offsets(problem, trial, i, e, build(values).discrete) for i, e in enumerate(experiments)
+        ),
         noise_std=uncertain.noise_std,
         noise_order=uncertain.noise_order,
         cost=trial.cost,
@@ -227,7 +239,9 @@ def _noise_start(experiments: Sequence[Experiment], structure: Arx | Armax, nc: 
     return coordinates(stabilised(c))
 
 
-def _offsets(problem: EquationError, trial: Predicted, index: int, experiment: Experiment, model: DiscreteModel) -> Offsets:
+def _offsets(
+    problem: EquationError, trial: Predicted, index: int, experiment: Experiment, model: DiscreteModel
+) -> Offsets:
     if not any(run.experiment == index for run in problem.runs):
         return Offsets(None, None, 0.0)
     values = problem.offset(trial, index)

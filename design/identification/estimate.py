@@ -110,7 +110,9 @@ def offsets_of(
         slope = float(values[1]) / duration if len(values) > 1 else 0.0
         if integrators:
             # Behind an integrator a constant input is a ramp: its slope over the velocity gain.
-            velocity = float(np.sum(discrete.b) / _without_integrator(discrete.f).sum()) / experiment.sample_time_s
+            velocity = (
+                float(np.sum(discrete.b) / _without_integrator(discrete.f).sum()) / experiment.sample_time_s
+            )
             found.append(Offsets(None, -float(values[0]) / duration / velocity, 0.0))
             continue
         gain = discrete.gain

@@ -17,6 +17,10 @@ from design.errors import DesignError
 from design.mathematics.polynomials import Array, Flags
 
 
+LARGEST_VALUE = 1e50
+"""Largest modulus of a sample."""
+
+
 class Names(NamedTuple):
     """Names and units of the two signals, for messages and axis labels."""
 
@@ -51,7 +55,9 @@ class Experiment:
             )
         period = float(self.sample_time_s)
         if not (np.isfinite(period) and period > 0.0):
-            raise DesignError(f"{self.name}: sample time {self.sample_time_s} s; it must be positive, in seconds")
+            raise DesignError(
+                f"{self.name}: sample time {self.sample_time_s} s; it must be positive, in seconds"
+            )
         if self.transport_delay_samples < 0:
             raise DesignError(
                 f"{self.name}: transport delay {self.transport_delay_samples} samples; it cannot be negative"
@@ -120,6 +126,11 @@ def _column(values: ArrayLike, record: str, signal: str) -> Array:
     if column.ndim != 1:
         raise DesignError(f"{record}: {signal} has shape {column.shape}; one column of numbers is needed")
     column[~np.isfinite(column)] = np.nan
+    largest = float(np.nanmax(np.abs(column), initial=0.0))
+    if largest > LARGEST_VALUE:
+        raise DesignError(
+            f"{record}: {signal} reaches {largest:.3g}; values over {LARGEST_VALUE:g} are not measurements"
+        )
     return column
 
 

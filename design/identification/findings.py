@@ -15,7 +15,9 @@ class Severity(StrEnum):
     REFUSE = "refuse"
     """No model is given."""
     WARN = "warn"
-    """The model is given, with the finding beside it."""
+    """The model is given, and is doubtful for this reason."""
+    NOTE = "note"
+    """The model is good. The finding says how it could be better."""
 
 
 class Kind(StrEnum):
@@ -38,6 +40,7 @@ class Kind(StrEnum):
     SAMPLE_TIME = "sample time"
     IRREGULAR_TIMES = "irregular times"
     DEAD_TIME = "dead time"
+    TIME_SHIFT = "time shift"
     UNSTABLE = "unstable"
     POOR_FIT = "poor fit"
     NOT_EXPLAINED = "dynamics not explained"
@@ -81,8 +84,17 @@ class RecordRefusedError(DesignError):
         super().__init__("\n".join(reasons))
 
 
+def most_severe_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """The findings, each kind once for each severity and signal, those that refuse the record first."""
+    first: dict[tuple[Kind, Severity, str], Finding] = {}
+    for finding in findings:
+        first.setdefault((finding.kind, finding.severity, finding.signal), finding)
+    order = list(Severity)
+    return tuple(sorted(first.values(), key=lambda finding: order.index(finding.severity)))
+
+
 def refuse_if_needed(findings: Iterable[Finding]) -> None:
     """Raise RecordRefusedError if one of the findings refuses the record."""
-    listed = tuple(findings)
+    listed = most_severe_first(findings)
     if any(finding.severity is Severity.REFUSE for finding in listed):
         raise RecordRefusedError(listed)

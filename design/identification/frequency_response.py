@@ -24,6 +24,10 @@ from design.mathematics.polynomials import Array, ComplexArray
 
 POINTS = 200
 """Number of frequencies of the local rational method."""
+WINDOW_SHARE = 0.15
+"""Width of a local window as a share of its frequency, once that holds more lines than are needed."""
+MAX_LINES = 448
+"""Largest number of lines in a local window."""
 SHORTEST_RUN = 64
 """Number of samples without a gap below which a run is not used."""
 _POLYNOMIAL = 3
@@ -54,7 +58,9 @@ class FrequencyResponse:
     """Standard deviation of the response, of its real and of its imaginary part alike."""
 
 
-def frequency_response(experiments: Sequence[Experiment], *, period_samples: int | None = None) -> FrequencyResponse:
+def frequency_response(
+    experiments: Sequence[Experiment], *, period_samples: int | None = None
+) -> FrequencyResponse:
     """Measure the response by the method that suits the records.
 
     ``period_samples`` is the period of a periodic input; its exact lines are used. Raises DesignError where no run
@@ -65,7 +71,9 @@ def frequency_response(experiments: Sequence[Experiment], *, period_samples: int
     return local_rational(experiments)
 
 
-def averaged_spectra(experiments: Sequence[Experiment], segment_samples: int | None = None) -> FrequencyResponse:
+def averaged_spectra(
+    experiments: Sequence[Experiment], segment_samples: int | None = None
+) -> FrequencyResponse:
     """Welch's method: Hann windows that overlap by half, without the mean of each.
 
     By default a segment is an eighth of the samples. Raises DesignError where fewer than two segments fit between the
@@ -79,9 +87,14 @@ def averaged_spectra(experiments: Sequence[Experiment], segment_samples: int | N
         for start in range(0, len(u) - length + 1, max(length // 2, 1))
     ]
     if len(segments) < 2:
-        raise DesignError(f"averaged spectra: {len(segments)} segments of {length} samples without a gap; 2 are needed")
+        raise DesignError(
+            f"averaged spectra: {len(segments)} segments of {length} samples without a gap; 2 are needed"
+        )
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
-    U, Y = (rfft([window * (part - part.mean()) for part in side], axis=-1) for side in zip(*segments, strict=True))
+    U, Y = (
+        rfft([window * (part - part.mean()) for part in side], axis=-1)
+        for side in zip(*segments, strict=True)
+    )
     keep = slice(1, (length + 1) // 2)
     uu = np.sum(np.abs(U) ** 2, axis=0)[keep]
     yy = np.sum(np.abs(Y) ** 2, axis=0)[keep]
@@ -108,17 +121,20 @@ def local_rational(experiments: Sequence[Experiment], points: int = POINTS) -> F
     longest = max(len(u) for u, _ in parts)
     lines = _LOCAL_UNKNOWNS + _SPARE_LINES + 1
     if longest < 4 * lines:
-        raise DesignError(f"local rational: the longest run without a gap has {longest} samples; {4 * lines} are needed")
+        raise DesignError(
+            f"local rational: the longest run without a gap has {longest} samples; {4 * lines} are needed"
+        )
     lowest, highest = 2.0 * np.pi / (longest * T), np.pi / T * (1.0 - 1.0 / longest)
     omega = np.geomspace(lowest, highest, points)
-    weight, total, explained, power = np.zeros(points), np.zeros(points, dtype=complex), np.zeros(points), np.zeros(points)
+    weight, explained, power = np.zeros((3, points))
+    total = np.zeros(points, dtype=np.complex128)
     for u, y in parts:
         if len(u) < 4 * lines:
             continue
-        G, variance, own_explained, own_power = _rational_fit(u, y, omega * T * len(u) / (2.0 * np.pi), lines)
+        G, variance, own_explained, own_power = _local_fits(u, y, omega * T * len(u) / (2.0 * np.pi), lines)
         share = 1.0 / np.maximum(variance, np.finfo(float).tiny)
         weight, total = weight + share, total + share * G
-        explained, power = explained + own_explained / len(u), power + own_power / len(u)
+        explained, power = explained + own_explained, power + own_power
     coherence = np.clip(explained / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
     return FrequencyResponse(Method.LOCAL_RATIONAL, omega, total / weight, coherence, np.sqrt(0.5 / weight))
 
@@ -134,16 +150,23 @@ def periodic_lines(experiments: Sequence[Experiment], period_samples: int) -> Fr
         periods = len(u) // period_samples
         first = 1 if periods >= 3 else 0
         if periods - first >= 1:
-            block = [x[first * period_samples : periods * period_samples].reshape(-1, period_samples) for x in (u, y)]
+            block = [
+                x[first * period_samples : periods * period_samples].reshape(-1, period_samples)
+                for x in (u, y)
+            ]
             spectra.append([rfft(part, axis=-1)[:, 1 : (period_samples + 1) // 2] for part in block])
     count = sum(len(U) for U, _ in spectra)
     if count < 2:
-        raise DesignError(f"periodic lines: {count} whole periods of {period_samples} samples without a gap; 2 are needed")
+        raise DesignError(
+            f"periodic lines: {count} whole periods of {period_samples} samples without a gap; 2 are needed"
+        )
     U = np.concatenate([U for U, _ in spectra])
     Y = np.concatenate([Y for _, Y in spectra])
     input_line = U.mean(axis=0)
     excited = np.abs(input_line) > 1e-6 * np.abs(input_line).max(initial=0.0)
-    omega = 2.0 * np.pi * np.arange(1, (period_samples + 1) // 2) / period_samples / experiments[0].sample_time_s
+    omega = (
+        2.0 * np.pi * np.arange(1, (period_samples + 1) // 2) / period_samples / experiments[0].sample_time_s
+    )
     U, Y, input_line = U[:, excited], Y[:, excited], input_line[excited]
     mean = Y.mean(axis=0)
     G = mean / input_line
@@ -166,19 +189,36 @@ def _runs(experiments: Sequence[Experiment]) -> list[tuple[Array, Array]]:
             if last - first >= SHORTEST_RUN:
                 found.append((experiment.u[first:last], experiment.y[first:last]))
     if not found:
-        raise DesignError(f"frequency response: no run of {SHORTEST_RUN} samples without a gap; record without gaps")
+        raise DesignError(
+            f"frequency response: no run of {SHORTEST_RUN} samples without a gap; record without gaps"
+        )
     return found
 
 
-def _rational_fit(u: Array, y: Array, at: Array, lines: int) -> tuple[ComplexArray, Array, Array, Array]:
-    """Response, its variance, explained and total power of y at the lines ``at`` (k,), which need not be whole."""
+def _local_fits(u: Array, y: Array, at: Array, fewest: int) -> tuple[ComplexArray, Array, Array, Array]:
+    """Response, its variance, explained and total power of y at the lines ``at`` (k,), which need not be whole.
+
+    The window grows with the frequency, so that a long record gives a smooth response.
+    """
     U, Y = rfft(u - u.mean()), rfft(y - y.mean())
+    doublings = np.floor(np.log2(np.clip(WINDOW_SHARE * at / fewest, 1.0, MAX_LINES / fewest)))
+    found = np.zeros((4, len(at)), dtype=np.complex128)
+    for doubling in np.unique(doublings):
+        own = doublings == doubling
+        found[:, own] = _rational_fit(U, Y, at[own], fewest << int(doubling))
+    return found[0], *found[1:].real
+
+
+def _rational_fit(U: ComplexArray, Y: ComplexArray, at: Array, lines: int) -> ComplexArray:
+    """Response, its variance, explained and total power (4, k), from windows of the same number of lines."""
     # Line 0 is lost with the mean.
     first = np.clip(np.rint(at).astype(int) - lines // 2, 1, len(U) - lines)
     index = first[:, None] + np.arange(lines)
     scale = 0.5 * lines
     powers = ((index - at[:, None]) / scale)[..., None] ** np.arange(_POLYNOMIAL)
-    rows = np.concatenate([U[index][..., None] * powers, powers, -Y[index][..., None] * powers[..., 1:2]], axis=-1)
+    rows = np.concatenate(
+        [U[index][..., None] * powers, powers, -Y[index][..., None] * powers[..., 1:2]], axis=-1
+    )
     sizes = np.linalg.norm(rows, axis=1)
     rows = rows / np.maximum(sizes, np.finfo(float).tiny)[:, None]
     left, singular, right = np.linalg.svd(rows, full_matrices=False)
@@ -191,4 +231,4 @@ def _rational_fit(u: Array, y: Array, at: Array, lines: int) -> tuple[ComplexArr
     noise = np.sum(np.abs(residual) ** 2, axis=1) / (lines - _LOCAL_UNKNOWNS)
     G = coefficients[:, 0]
     explained = np.sum(np.abs(U[index] * (powers @ coefficients[:, :_POLYNOMIAL, None])[..., 0]) ** 2, axis=1)
-    return G, spread * noise, explained, explained + lines * noise
+    return np.stack([G, spread * noise, explained / lines, explained / lines + noise])

@@ -19,7 +19,9 @@ from design.mathematics.matrix_exponential import exponential
 from design.mathematics.polynomials import Array
 
 
-def held_numerators(dens: Array, f: Array, whole: int, rest: Array, count: int, sample_time_s: float) -> Array:
+def held_numerators(
+    dens: Array, f: Array, whole: int, rest: Array, count: int, sample_time_s: float
+) -> Array:
     """Sampled numerators (k, n + 1, count) of s^0 … s^(count - 1) over each of k denominators, count <= n.
 
     ``dens`` (k, n + 1) is monic in falling powers of s, ``f`` (k, n + 1) its sampled counterpart in powers of
@@ -33,7 +35,9 @@ def held_numerators(dens: Array, f: Array, whole: int, rest: Array, count: int, 
     block[:, np.arange(1, n), np.arange(n - 1)] = speed * T
     block[:, :1, n] = speed * T
     part = rest[:, None, None]
-    full, late, early = exponential(np.concatenate([block, block * (1.0 - part), block * part])).reshape(3, k, n + 1, n + 1)
+    full, late, early = exponential(np.concatenate([block, block * (1.0 - part), block * part])).reshape(
+        3, k, n + 1, n + 1
+    )
     # A unit input of one period reaches the states in the part of the period after the dead time, and in the
     # part of the next period before it.
     state = late[:, :n, n]

@@ -111,7 +111,9 @@ def nearest_continuous(model: DiscreteModel) -> Nearest:
     NoContinuousModelError for an unstable model.
     """
     if not model.stable:
-        raise NoContinuousModelError("the sampled model is unstable: no continuous model is fitted to its response")
+        raise NoContinuousModelError(
+            "the sampled model is unstable: no continuous model is fitted to its response"
+        )
     order = max(int(np.count_nonzero(np.abs(model.poles_z) > 1e-3)), 1)
     dead_samples = model.nk + len(model.b) + len(model.f) - 2
     structure = ContinuousPoles(

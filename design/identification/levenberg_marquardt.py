@@ -76,7 +76,10 @@ class Outcome(Generic[TrialT]):
 
 
 def minimise(
-    problem: Problem[TrialT], start: Array, tolerance: float = STATISTICAL_TOLERANCE, max_rounds: int = MAX_ROUNDS
+    problem: Problem[TrialT],
+    start: Array,
+    tolerance: float = STATISTICAL_TOLERANCE,
+    max_rounds: int = MAX_ROUNDS,
 ) -> Outcome[TrialT] | None:
     """Search the parameters of least cost from ``start`` (p,). None where the start itself is not admissible."""
     theta = np.clip(start, problem.lower, problem.upper)
@@ -94,6 +97,7 @@ def minimise(
             return Outcome(theta, trial, True, held, done)
         sizes = np.linalg.norm(free, axis=0)
         sizes = np.maximum(sizes, 1e-9 * sizes.max(initial=0.0))
+        at_edge = False
         for _ in range(MAX_TRIALS):
             step = np.zeros(len(theta))
             step[~held] = _damped(free, e, np.sqrt(damping) * sizes)
@@ -106,11 +110,13 @@ def minimise(
                 damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-12)
                 theta, trial, growth = reached, candidate, 2.0
                 break
+            at_edge |= candidate is None
             damping, growth = damping * growth, 2.0 * growth
         else:
-            # No step along the slope lowers the cost: the optimum, to the accuracy of the arithmetic.
-            exact = trial.cost <= ROUNDING * problem.scale
-            return Outcome(theta, trial, exact or improvement < 1e-4 * trial.cost, held, done)
+            # No step along the slope lowers the cost: the optimum to the accuracy of the arithmetic, or a point at the
+            # edge of what is admissible.
+            rounding = trial.cost <= ROUNDING * problem.scale or improvement < 1e-4 * trial.cost
+            return Outcome(theta, trial, at_edge or rounding, held, done)
     return Outcome(theta, trial, False, held, max_rounds)
 
 

@@ -14,20 +14,22 @@ import numpy as np
 from design.errors import DesignError
 from design.identification.assembly import Assembly, check_samples, estimated
 from design.identification.difference_basis import basis
-from design.identification.dynamics_problem import DynamicsProblem, FreeCoefficients, FreeNumerator
+from design.identification.dynamics_problem import Candidate, DynamicsProblem, FreeCoefficients, FreeNumerator
 from design.identification.estimate import Estimate, Models
 from design.identification.experiment import Experiment
-from design.identification.levenberg_marquardt import STATISTICAL_TOLERANCE, minimise
+from design.identification.levenberg_marquardt import STATISTICAL_TOLERANCE, Outcome, minimise
 from design.identification.models import DiscreteModel
 from design.identification.pole_search import improved
 from design.identification.pole_sections import PoleSections
 from design.identification.start_values import start_values
-from design.identification.simulation_error import SimulationError
+from design.identification.simulation_error import Dynamics, SimulationError
 from design.identification.structures import OutputError
 from design.mathematics.polynomials import Array
 
 
-def fit_output_error(experiments: Sequence[Experiment], structure: OutputError, *, drift: bool = False) -> Estimate:
+def fit_output_error(
+    experiments: Sequence[Experiment], structure: OutputError, *, drift: bool = False
+) -> Estimate:
     """Fit an output-error model to one or more experiments of one sample time.
 
     Each experiment has its own offset and initial state and, with ``drift``, a slope of its output. Raises
@@ -37,10 +39,9 @@ def fit_output_error(experiments: Sequence[Experiment], structure: OutputError, 
     data = SimulationError(experiments, skipped=max(0, nk + nb - 1 - nf), drift=drift)
     unknowns = nb + nf + data.unknowns(nf)
     check_samples(data.residuals, unknowns, str(structure))
-    problem = DynamicsProblem(data, FreeCoefficients(nb, nf, nk))
-    outcome = minimise(problem, basis(nf) @ _start(data, structure)[1:])
-    if outcome is None:
-        raise DesignError(f"{structure}: no stable model follows the data; is the plant unstable?")
+    family = FreeCoefficients(nb, nf, nk)
+    problem = DynamicsProblem(data, family)
+    outcome = _polished(problem, family, _start(data, structure), str(structure))
     gains = outcome.trial.simulated.gains
     T = experiments[0].sample_time_s
 
@@ -49,7 +50,25 @@ def fit_output_error(experiments: Sequence[Experiment], structure: OutputError, 
         return Models(DiscreteModel(basis(nb) @ values[:nb], f, nk, T))
 
     names = (*(f"b in (1 - 1/z)^{i}" for i in range(nb)), *(f"f in (1 - 1/z)^{i}" for i in range(nf)))
-    return estimated(problem, outcome, Assembly(structure, names, np.concatenate([gains, outcome.theta]), build))
+    return estimated(
+        problem, outcome, Assembly(structure, names, np.concatenate([gains, outcome.theta]), build)
+    )
+
+
+def _polished(
+    problem: DynamicsProblem, family: FreeCoefficients, f: Array, structure: str
+) -> Outcome[Candidate]:
+    """The end of a search in the coefficients of F, or its start where rounding makes that look unstable."""
+    theta = basis(len(f) - 1) @ f[1:]
+    outcome = minimise(problem, theta)
+    if outcome is not None:
+        return outcome
+    simulated = problem.data.simulate(Dynamics(f, basis(family.nb), family.lag))
+    if simulated is None:
+        raise DesignError(
+            f"{structure}: no model can be simulated on the data; check the units of the signals"
+        )
+    return Outcome(theta, Candidate(theta, simulated), True, np.zeros(len(theta), dtype=bool), 0)
 
 
 def _start(data: SimulationError, structure: OutputError) -> Array:
@@ -65,8 +84,15 @@ def _start(data: SimulationError, structure: OutputError) -> Array:
         return FreeNumerator(smaller, min(nb, smaller.order) if smaller.order < nf else nb, nk)
 
     problem = DynamicsProblem(data, family(sections))
-    found = [improved(problem, sections, theta, STATISTICAL_TOLERANCE) for theta in start_values(data, sections, family)]
-    best = min((result for result in found if result is not None), key=lambda result: result.cost, default=None)
+    found = [
+        improved(problem, sections, theta, STATISTICAL_TOLERANCE)
+        for theta in start_values(data, sections, family)
+    ]
+    best = min(
+        (result for result in found if result is not None), key=lambda result: result.cost, default=None
+    )
     if best is None:
-        raise DesignError(f"{structure}: no model can be simulated on the data; check the units of the signals")
+        raise DesignError(
+            f"{structure}: no model can be simulated on the data; check the units of the signals"
+        )
     return sections.f(best.theta)

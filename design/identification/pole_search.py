@@ -95,7 +95,9 @@ def _improved(problem: DynamicsProblem, sections: PoleSections, starts: Iterable
     return sorted(found, key=lambda start: start.cost)
 
 
-def improved(problem: DynamicsProblem, sections: PoleSections, theta: Array, tolerance: float) -> Start | None:
+def improved(
+    problem: DynamicsProblem, sections: PoleSections, theta: Array, tolerance: float
+) -> Start | None:
     """The optimum that is reached from θ, through a new grouping of the real poles where that leads further.
 
     Two equal poles in different sections cannot become a complex pair, and the slope there is 0.

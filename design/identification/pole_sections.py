@@ -46,7 +46,10 @@ class PoleSections:
     def bounds(self, samples: int) -> tuple[Array, Array]:
         """Lower and upper bounds of θ for a record of this many samples."""
         T = self.sample_time_s
-        low = [np.log(1e-3 / (samples * T))] * self.real + [np.log(1e-2 / (samples * T)), np.log(DAMPING[0])] * self.pairs
+        low = [np.log(1e-3 / (samples * T))] * self.real + [
+            np.log(1e-2 / (samples * T)),
+            np.log(DAMPING[0]),
+        ] * self.pairs
         high = [np.log(FASTEST / T)] * self.real + [np.log(np.pi / T), np.log(DAMPING[1])] * self.pairs
         return np.array(low), np.array(high)
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from design.identification.causality import later_input_share
 from design.identification.experiment import Experiment, runs
 from design.identification.feedback import feedback
 from design.identification.findings import Finding, Kind, Severity
@@ -18,6 +19,10 @@ MIN_SAMPLES_PER_UNKNOWN = 10
 """Number of output samples for each parameter of the model below which a record is refused."""
 MIN_SAMPLES = 50
 """Number of output samples below which a record is refused, whatever the model."""
+MIN_VALIDATION_SAMPLES = 20
+"""Number of output samples below which a record cannot validate a model."""
+MAX_PERIOD_ERROR = 0.02
+"""Relative difference of the sample time from the rig's period above which a record is refused."""
 MAX_MISSING = 0.05
 """Share of missing samples above which the gaps are reported."""
 REFUSED_MISSING = 0.8
@@ -28,12 +33,17 @@ MAX_AT_STOPS = 0.2
 """Share of samples at the ends of the travel above which a record is refused."""
 STOP_MARGIN = 0.01
 """Share of the travel next to its ends that counts as reached."""
+SMALLEST_SPREAD = 1e-50
+"""Range of a signal up to which it counts as constant."""
 MIN_LEVELS = 20
 """Number of different output values below which the resolution is reported."""
 PERSISTENCE = 1e-11
 """Smallest singular value of the delayed inputs, as a share of the largest, that still counts as excitation."""
 MAX_FEEDBACK = 0.3
 """Ratio of the input's prediction errors with and without the output, below which the loop is closed."""
+
+MAX_LATER_INPUT = 0.05
+"""Share of the output's prediction error that later inputs may explain."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +56,8 @@ class Expectations:
     """End stops, in units of y."""
     plant: ContinuousModel | None = None
     """An earlier model of the plant."""
+    sample_time_s: float | None = None
+    """The period of the rig."""
     closed_loop: bool | None = None
     """Whether a controller acted during the experiment."""
 
@@ -62,18 +74,57 @@ def parameters_of(structure: Structure) -> int:
         case BoxJenkins(nb, nc, nd, nf):
             return nb + nc + nd + nf
         case ContinuousPoles():
-            return structure.real + 2 * structure.pairs + structure.zeros + 1 + bool(structure.max_dead_time_s)
+            return (
+                structure.real + 2 * structure.pairs + structure.zeros + 1 + bool(structure.max_dead_time_s)
+            )
 
 
 def check_record(experiment: Experiment, structure: Structure, expected: Expectations) -> list[Finding]:
-    """Findings about one record, before any fit. Those that refuse it come first."""
+    """Findings about one record that a model is to be fitted to."""
     found = list(_size(experiment, structure))
     if any(finding.severity is Severity.REFUSE for finding in found):
         return found
-    for check in (_signals, _excitation, _limits, _resolution):
-        found += check(experiment, structure, expected)
+    found += _period(experiment, expected)
+    found += _signals(experiment)
+    found += _excitation(experiment, structure)
+    found += _input_range(experiment, expected)
+    found += _travel(experiment, expected)
+    found += _resolution(experiment)
     found += _loop(experiment, structure, expected)
-    return sorted(found, key=lambda finding: finding.severity is not Severity.REFUSE)
+    if not any(finding.kind is Kind.FEEDBACK for finding in found):
+        found += _time_shift(experiment, structure)
+    return found
+
+
+def check_validation(experiment: Experiment, expected: Expectations) -> list[Finding]:
+    """Findings about one record that a model is to be compared with."""
+    names, record = experiment.names, experiment.name
+    usable = np.isfinite(experiment.u) & experiment.observed
+    count = int(np.count_nonzero(usable))
+    if count < MIN_VALIDATION_SAMPLES:
+        return [
+            Finding(
+                Kind.TOO_FEW_SAMPLES,
+                Severity.REFUSE,
+                record,
+                names.y,
+                count,
+                MIN_VALIDATION_SAMPLES,
+                "samples",
+                f"{count} samples for the validation, {MIN_VALIDATION_SAMPLES} are needed",
+                "record longer, or give a record for the validation",
+            )  # fmt: skip
+        ]
+    still = _constant(Kind.CONSTANT_INPUT, record, names.u, names.u_unit, experiment.u[usable])
+    return [
+        *(
+            replace(finding, remedy="excite the plant throughout, or give a record for the validation")
+            for finding in still
+        ),
+        *_constant(Kind.CONSTANT_OUTPUT, record, names.y, names.y_unit, experiment.y[usable]),
+        *_input_range(experiment, expected),
+        *_travel(experiment, expected),
+    ]
 
 
 def without_stops(experiment: Experiment, expected: Expectations) -> Experiment:
@@ -117,25 +168,41 @@ def _size(experiment: Experiment, structure: Structure) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _signals(experiment: Experiment, structure: Structure, expected: Expectations) -> Iterator[Finding]:
+def _period(experiment: Experiment, expected: Expectations) -> Iterator[Finding]:
+    known, given = expected.sample_time_s, experiment.sample_time_s
+    if known is not None and abs(given / known - 1.0) > MAX_PERIOD_ERROR:
+        yield Finding(
+            Kind.SAMPLE_TIME, Severity.REFUSE, experiment.name, "sample time", given, known, "s",
+            f"{given:.6g} s, but the rig's period is {known:.6g} s (limit {100.0 * MAX_PERIOD_ERROR:g} %)",
+            "give the true sample time, in seconds",
+        )  # fmt: skip
+
+
+def _signals(experiment: Experiment) -> Iterator[Finding]:
     names, record = experiment.names, experiment.name
-    for kind, signal, unit, values, remedy in (
-        (
-            Kind.CONSTANT_INPUT, names.u, names.u_unit, experiment.u[np.isfinite(experiment.u)],
-            "excite the plant; check that the right channel was recorded",
-        ),
-        (
-            Kind.CONSTANT_OUTPUT, names.y, names.y_unit, experiment.y[experiment.observed],
-            "check the sensor, its wire and the channel; raise the amplitude if the plant did not move",
-        ),
-    ):  # fmt: skip
-        spread = float(np.ptp(values))
-        if spread <= 1e-9 * float(np.abs(values).max()):
-            at = "0" if not values.any() else f"{values[0]:.6g} {unit}"
-            yield Finding(kind, Severity.REFUSE, record, signal, spread, 0.0, unit, f"it stays at {at}", remedy)
+    yield from _constant(
+        Kind.CONSTANT_INPUT, record, names.u, names.u_unit, experiment.u[np.isfinite(experiment.u)]
+    )
+    yield from _constant(
+        Kind.CONSTANT_OUTPUT, record, names.y, names.y_unit, experiment.y[experiment.observed]
+    )
 
 
-def _excitation(experiment: Experiment, structure: Structure, expected: Expectations) -> Iterator[Finding]:
+_REMEDIES = {
+    Kind.CONSTANT_INPUT: "excite the plant; check that the right channel was recorded",
+    Kind.CONSTANT_OUTPUT: "check the sensor, its wire and the channel; raise the amplitude if the plant did not move",
+}
+
+
+def _constant(kind: Kind, record: str, signal: str, unit: str, values: Array) -> Iterator[Finding]:
+    spread = float(np.ptp(values))
+    if spread <= max(1e-9 * float(np.abs(values).max()), SMALLEST_SPREAD):
+        at = "0" if not values.any() else f"{values[0]:.6g} {unit}"
+        text = f"it stays at {at}"
+        yield Finding(kind, Severity.REFUSE, record, signal, spread, 0.0, unit, text, _REMEDIES[kind])
+
+
+def _excitation(experiment: Experiment, structure: Structure) -> Iterator[Finding]:
     """Rank of the delayed inputs: a constant excites one parameter, a sine two, and so on."""
     needed = parameters_of(structure)
     known = max(runs(np.isfinite(experiment.u)), key=lambda span: span[1] - span[0])
@@ -154,52 +221,55 @@ def _excitation(experiment: Experiment, structure: Structure, expected: Expectat
         )  # fmt: skip
 
 
-def _limits(experiment: Experiment, structure: Structure, expected: Expectations) -> Iterator[Finding]:
-    names, record = experiment.names, experiment.name
+def _input_range(experiment: Experiment, expected: Expectations) -> Iterator[Finding]:
+    if expected.input_range is None:
+        return
+    (low, high), names = expected.input_range, experiment.names
     u = experiment.u[np.isfinite(experiment.u)]
-    if expected.input_range is not None:
-        low, high = expected.input_range
-        margin = 1e-6 * (high - low)
-        farthest = float(u[np.argmax(np.maximum(u - high, low - u))])
-        if farthest > high + 0.05 * (high - low) or farthest < low - 0.05 * (high - low):
-            yield Finding(
-                Kind.UNITS, Severity.REFUSE, record, names.u, farthest, high if farthest > high else low, names.u_unit,
-                f"it reaches {farthest:.4g} {names.u_unit}, but the actuator takes {low:g} to {high:g} {names.u_unit}"
-                + _scaled(farthest, low, high),
-                "give it in the right unit, as an offset from the actuator's centre",
-            )  # fmt: skip
-            return
-        share = float(np.mean((u >= high - margin) | (u <= low + margin)))
-        if share > MAX_AT_LIMIT:
-            yield Finding(
-                Kind.SATURATION, Severity.WARN, record, names.u, 100.0 * share, 100.0 * MAX_AT_LIMIT, "%",
-                f"{100.0 * share:.3g} % of it lies at a limit of the actuator (limit {100.0 * MAX_AT_LIMIT:g} %)",
-                "lower the amplitude",
-            )  # fmt: skip
-    if expected.travel is not None:
-        low, high = expected.travel
-        y = experiment.y[experiment.observed]
-        farthest = float(y[np.argmax(np.maximum(y - high, low - y))])
-        if max(farthest - high, low - farthest) > 0.2 * (high - low):
-            yield Finding(
-                Kind.UNITS, Severity.REFUSE, record, names.y, farthest, high if farthest > high else low, names.y_unit,
-                f"it reaches {farthest:.4g} {names.y_unit}, but the travel is {low:g} to {high:g} {names.y_unit}"
-                + _scaled(farthest, low, high),
-                "give it in the right unit, with its zero where the travel has it",
-            )  # fmt: skip
-            return
-        share = float(np.mean(_at_stops(experiment, expected.travel)[experiment.observed]))
-        if share > 0.0:
-            severity = Severity.REFUSE if share > MAX_AT_STOPS else Severity.WARN
-            yield Finding(
-                Kind.END_STOPS, severity, record, names.y, 100.0 * share, 100.0 * MAX_AT_STOPS, "%",
-                f"{100.0 * share:.3g} % of it lies at an end of the travel (limit {100.0 * MAX_AT_STOPS:g} %); these "
-                "samples are left out",
-                "centre the axis first, measure the actuator's offset, or lower the amplitude",
-            )  # fmt: skip
+    outside = _outside(u, low, high, 0.05)
+    if outside is not None:
+        yield Finding(
+            Kind.UNITS, Severity.REFUSE, experiment.name, names.u, outside, _nearer(outside, low, high), names.u_unit,
+            f"it reaches {outside:.4g} {names.u_unit}, but the actuator takes {low:g} to {high:g} {names.u_unit}"
+            + _scaled(outside, low, high),
+            "give it in the right unit, as an offset from the actuator's centre",
+        )  # fmt: skip
+        return
+    margin = 1e-6 * (high - low)
+    share = float(np.mean((u >= high - margin) | (u <= low + margin)))
+    if share > MAX_AT_LIMIT:
+        yield Finding(
+            Kind.SATURATION, Severity.WARN, experiment.name, names.u, 100.0 * share, 100.0 * MAX_AT_LIMIT, "%",
+            f"{100.0 * share:.3g} % of it lies at a limit of the actuator (limit {100.0 * MAX_AT_LIMIT:g} %)",
+            "lower the amplitude",
+        )  # fmt: skip
 
 
-def _resolution(experiment: Experiment, structure: Structure, expected: Expectations) -> Iterator[Finding]:
+def _travel(experiment: Experiment, expected: Expectations) -> Iterator[Finding]:
+    if expected.travel is None:
+        return
+    (low, high), names = expected.travel, experiment.names
+    outside = _outside(experiment.y[experiment.observed], low, high, 0.2)
+    if outside is not None:
+        yield Finding(
+            Kind.UNITS, Severity.REFUSE, experiment.name, names.y, outside, _nearer(outside, low, high), names.y_unit,
+            f"it reaches {outside:.4g} {names.y_unit}, but the travel is {low:g} to {high:g} {names.y_unit}"
+            + _scaled(outside, low, high),
+            "give it in the right unit, with its zero where the travel has it",
+        )  # fmt: skip
+        return
+    share = float(np.mean(_at_stops(experiment, expected.travel)[experiment.observed]))
+    if share > 0.0:
+        severity = Severity.REFUSE if share > MAX_AT_STOPS else Severity.WARN
+        yield Finding(
+            Kind.END_STOPS, severity, experiment.name, names.y, 100.0 * share, 100.0 * MAX_AT_STOPS, "%",
+            f"{100.0 * share:.3g} % of it lies at an end of the travel (limit {100.0 * MAX_AT_STOPS:g} %); these samples "
+            "are left out",
+            "centre the axis first, measure the actuator's offset, or lower the amplitude",
+        )  # fmt: skip
+
+
+def _resolution(experiment: Experiment) -> Iterator[Finding]:
     levels = len(np.unique(experiment.y[experiment.observed][:20_000]))
     if levels < MIN_LEVELS:
         yield Finding(
@@ -225,6 +295,20 @@ def _loop(experiment: Experiment, structure: Structure, expected: Expectations) 
         )  # fmt: skip
 
 
+def _time_shift(experiment: Experiment, structure: Structure) -> Iterator[Finding]:
+    """An output that answers before its input."""
+    nk = 1 if isinstance(structure, ContinuousPoles) else structure.nk
+    share = later_input_share(experiment, nk)
+    if share > MAX_LATER_INPUT:
+        names = experiment.names
+        yield Finding(
+            Kind.TIME_SHIFT, Severity.WARN, experiment.name, names.y, 100.0 * share, 100.0 * MAX_LATER_INPUT, "%",
+            f"{100.0 * share:.3g} % of what its past does not explain depends on values of {names.u} that come later than nk = "
+            f"{nk} allows (limit {100.0 * MAX_LATER_INPUT:g} %): it answers before its input, or a controller acts",
+            "check the times of both columns and the transport delay, or use a smaller nk",
+        )  # fmt: skip
+
+
 def _at_stops(experiment: Experiment, travel: tuple[float, float]) -> Flags:
     low, high = travel
     margin = STOP_MARGIN * (high - low)
@@ -232,16 +316,26 @@ def _at_stops(experiment: Experiment, travel: tuple[float, float]) -> Flags:
         return np.asarray((experiment.y > high - margin) | (experiment.y < low + margin))
 
 
-def _scaled(farthest: float, low: float, high: float) -> str:
-    """The factor that would explain it, if there is a usual one."""
-    limit = high if farthest > high else low
-    if limit == 0.0:
-        return ""
-    ratio = farthest / limit
-    for factor, reason in ((1000.0, "thousandths of the unit"), (100.0, "hundredths of the unit"), (180.0 / np.pi, "degrees")):
-        if 0.02 * factor < ratio < 1.2 * factor and ratio > 0.3 * factor:
-            return f": in {reason}?"
-    return ""
+def _outside(values: Array, low: float, high: float, margin: float) -> float | None:
+    """The value farthest outside the range, if it leaves it by more than ``margin`` times its width."""
+    excess = np.maximum(values - high, low - values)
+    worst = int(np.argmax(excess))
+    return float(values[worst]) if excess[worst] > margin * (high - low) else None
+
+
+def _nearer(value: float, low: float, high: float) -> float:
+    return high if value > high else low
+
+
+_SCALES = {1000.0: "thousandths of the unit", 100.0: "hundredths of the unit", 180.0 / np.pi: "degrees"}
+
+
+def _scaled(outside: float, low: float, high: float) -> str:
+    """The usual factors by which the value, divided, would lie in the range."""
+    limit = _nearer(outside, low, high)
+    ratio = outside / limit if limit else 0.0
+    reasons = [reason for factor, reason in _SCALES.items() if 3.0 < ratio <= 1.2 * factor]
+    return f": in {' or '.join(reasons)}?" if reasons else ""
 
 
 def overlapping(first: Sequence[Experiment], second: Sequence[Experiment]) -> bool:

@@ -67,7 +67,9 @@ def analyse_residuals(
     u = [_centred(x.u, known) for x, known in zip(experiments, u_known, strict=True)]
     own = _coefficients([Pair(a, a, k, k) for a, k in zip(e, e_known, strict=True)], lags)
     past = _coefficients([Pair(b, a, j, k) for a, b, k, j in zip(e, u, e_known, u_known, strict=True)], lags)
-    future = _coefficients([Pair(a, b, k, j) for a, b, k, j in zip(e, u, e_known, u_known, strict=True)], lags)
+    future = _coefficients(
+        [Pair(a, b, k, j) for a, b, k, j in zip(e, u, e_known, u_known, strict=True)], lags
+    )
     wide = max(1, min(4 * lags, longest // 4))
     e_colour = _coefficients([Pair(a, a, k, k) for a, k in zip(e, e_known, strict=True)], wide)[0]
     u_colour = _coefficients([Pair(a, a, k, k) for a, k in zip(u, u_known, strict=True)], wide)[0]
@@ -86,8 +88,12 @@ def _centred(values: Array, known: Array) -> Array:
 def _coefficients(pairs: Sequence[Pair], lags: int) -> tuple[Array, Array]:
     """Correlation coefficients (lags + 1,) and the number of terms of each."""
     sums, counts = correlation(pairs, lags)
-    power = [sum(float(x @ x) for x in side) for side in zip(*((p.first, p.second) for p in pairs), strict=True)]
-    known = [sum(int(np.count_nonzero(k)) for k in side) for side in zip(*(p[2:] for p in pairs), strict=True)]
+    power = [
+        sum(float(x @ x) for x in side) for side in zip(*((p.first, p.second) for p in pairs), strict=True)
+    ]
+    known = [
+        sum(int(np.count_nonzero(k)) for k in side) for side in zip(*(p[2:] for p in pairs), strict=True)
+    ]
     scale = np.sqrt(power[0] / max(known[0], 1) * power[1] / max(known[1], 1))
     if scale == 0.0:
         return np.zeros(lags + 1), counts

@@ -88,7 +88,12 @@ class SimulationError:
     """The data of several experiments, ready to be compared with candidates."""
 
     def __init__(
-        self, experiments: Sequence[Experiment], *, skipped: int = 0, drift: bool = False, integrators: int = 0
+        self,
+        experiments: Sequence[Experiment],
+        *,
+        skipped: int = 0,
+        drift: bool = False,
+        integrators: int = 0,
     ) -> None:
         self.experiments = list(experiments)
         self.stretches = stretches(self.experiments, skipped)
@@ -118,7 +123,9 @@ class SimulationError:
             block[n : n + len(common)] = common
             block[-1] = stretch.y
             columns.append(block)
-        if not all(np.isfinite(block[[0, -2], -1]).all() and np.abs(block[-2]).max() < 1e150 for block in columns):
+        if not all(
+            np.isfinite(block[[0, -2], -1]).all() and np.abs(block[-2]).max() < 1e150 for block in columns
+        ):
             return None
         reduced = self._reduce(columns, Layout(n, len(self.powers), nb + 1))
         A = reduced.shared[:, :nb] @ (basis(nb) @ numerators)

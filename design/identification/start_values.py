@@ -49,7 +49,9 @@ def start_values(data: SimulationError, sections: PoleSections, family: Family) 
 
             found += search_poles(short, own, coarse)
     problem = DynamicsProblem(data, family(sections))
-    trials = [(problem.trial(np.clip(start.theta, problem.lower, problem.upper)), start.theta) for start in found]
+    trials = [
+        (problem.trial(np.clip(start.theta, problem.lower, problem.upper)), start.theta) for start in found
+    ]
     ranked = sorted(((trial.cost, i) for i, (trial, _) in enumerate(trials) if trial is not None))
     return [trials[i][1] for _, i in ranked[:1]]
 
@@ -57,7 +59,10 @@ def start_values(data: SimulationError, sections: PoleSections, family: Family) 
 def excerpts(experiments: Sequence[Experiment]) -> list[Experiment]:
     """The same share of each experiment, where its input moves most."""
     total = sum(map(len, experiments))
-    return [_liveliest(experiment, max(1, len(experiment) * SEARCH_SAMPLES // total)) for experiment in experiments]
+    return [
+        _liveliest(experiment, max(1, len(experiment) * SEARCH_SAMPLES // total))
+        for experiment in experiments
+    ]
 
 
 def _liveliest(experiment: Experiment, samples: int) -> Experiment:
@@ -76,8 +81,14 @@ def averages(experiments: Sequence[Experiment], factor: int) -> list[Experiment]
         rows = len(experiment) // factor
         if rows:
             u = experiment.u[: rows * factor].reshape(rows, factor).mean(axis=1)
-            y = np.where(experiment.observed, experiment.y, np.nan)[: rows * factor].reshape(rows, factor).mean(axis=1)
+            y = (
+                np.where(experiment.observed, experiment.y, np.nan)[: rows * factor]
+                .reshape(rows, factor)
+                .mean(axis=1)
+            )
             found.append(
-                Experiment(u, y, factor * experiment.sample_time_s, name=experiment.name, names=experiment.names)
+                Experiment(
+                    u, y, factor * experiment.sample_time_s, name=experiment.name, names=experiment.names
+                )
             )
     return found

@@ -94,14 +94,23 @@ class ContinuousPoles:
     """Upper bound of the dead time τ, which is estimated and need not be whole samples. 0 means no dead time."""
 
     def __post_init__(self) -> None:
-        counts = {"real": self.real, "pairs": self.pairs, "zeros": self.zeros, "integrators": self.integrators}
+        counts = {
+            "real": self.real,
+            "pairs": self.pairs,
+            "zeros": self.zeros,
+            "integrators": self.integrators,
+        }
         _check(str(self), positive={"real + 2 pairs": self.real + 2 * self.pairs}, others=counts)
         if self.integrators > 1:
             raise DesignError(f"{self}: {self.integrators} integrators; at most 1 is supported")
         if self.zeros >= self.order:
-            raise DesignError(f"{self}: {self.zeros} zeros with {self.order} poles; a plant has fewer zeros than poles")
+            raise DesignError(
+                f"{self}: {self.zeros} zeros with {self.order} poles; a plant has fewer zeros than poles"
+            )
         if not 0.0 <= self.max_dead_time_s < float("inf"):
-            raise DesignError(f"{self}: max_dead_time_s {self.max_dead_time_s} s; it must be finite and not negative")
+            raise DesignError(
+                f"{self}: max_dead_time_s {self.max_dead_time_s} s; it must be finite and not negative"
+            )
 
     @property
     def order(self) -> int:
@@ -137,7 +146,10 @@ def parse_structure(text: str) -> Structure:
     match = re.fullmatch(r"\s*([A-Za-z]+)\s*(?:\(([^()]*)\))?\s*", text)
     if match is None:
         raise DesignError(f"structure {text!r} cannot be read; write {FORMS}")
-    kind, inside = match.group(1), [part.strip() for part in (match.group(2) or "").split(",") if part.strip()]
+    kind, inside = (
+        match.group(1),
+        [part.strip() for part in (match.group(2) or "").split(",") if part.strip()],
+    )
     if kind.lower() == "continuous":
         return ContinuousPoles(**_keywords(text, inside))
     if kind.upper() not in _ORDERS:

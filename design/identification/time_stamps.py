@@ -50,14 +50,18 @@ def from_time_stamps(
     columns = [np.array(column, dtype=float) for column in (u, y)]
     names = names or Names()
     if t.ndim != 1 or any(column.shape != t.shape for column in columns) or len(t) < 2:
-        raise DesignError(f"{name}: time, {names.u} and {names.y} must be columns of one length of at least 2")
+        raise DesignError(
+            f"{name}: time, {names.u} and {names.y} must be columns of one length of at least 2"
+        )
     if not np.isfinite(t).all():
         row = int(np.argmin(np.isfinite(t)))
         raise DesignError(f"{name}: row {row + 1}: the time is not a number; remove the row")
     steps = np.diff(t)
     if (steps < 0.0).any():
         row = int(np.argmax(steps < 0.0)) + 2
-        raise DesignError(f"{name}: row {row}: the time goes back by {-steps[row - 2]:.6g} s; sort or cut the record")
+        raise DesignError(
+            f"{name}: row {row}: the time goes back by {-steps[row - 2]:.6g} s; sort or cut the record"
+        )
     period = float(np.median(steps)) if sample_time_s is None else float(sample_time_s)
     if not period > 0.0:
         raise DesignError(f"{name}: most rows have the same time; state the sample time")

@@ -105,7 +105,9 @@ def propagate(parameters: Parameters, function: Callable[[Models], Array]) -> tu
     for axis in factor.T:
         if not axis.any():
             continue
-        ahead, behind = (function(parameters.build(parameters.values + sign * _STEP * axis)) for sign in (1.0, -1.0))
+        ahead, behind = (
+            function(parameters.build(parameters.values + sign * _STEP * axis)) for sign in (1.0, -1.0)
+        )
         slopes.append((ahead - behind) / (2.0 * _STEP))
     J = np.array(slopes).reshape(-1, len(at_estimate))
     return at_estimate, J.T @ J
@@ -127,7 +129,9 @@ def properties(estimate: Estimate) -> Properties:
         roots = np.concatenate([found, zeros if other is None else _matched(other.zeros, zeros)])
         gain, velocity = _gains(candidate, found)
         dead = _dead_time_s(candidate)
-        return np.concatenate([[gain, velocity, dead], np.abs(found), -found.real / np.abs(found), roots.real, roots.imag])
+        return np.concatenate(
+            [[gain, velocity, dead], np.abs(found), -found.real / np.abs(found), roots.real, roots.imag]
+        )
 
     with np.errstate(divide="ignore", invalid="ignore"):
         values, covariance = propagate(estimate.parameters, all_of)
@@ -189,7 +193,9 @@ def response_band(estimate: Estimate, omega_rad_s: ArrayLike) -> ResponseBand:
     x, y = G.real / size, G.imag / size
     along = x * x * real + y * y * imaginary + 2.0 * x * y * mixed
     across = y * y * real + x * x * imaginary - 2.0 * x * y * mixed
-    return ResponseBand(omega, G, np.sqrt(np.maximum(along, 0.0)) / size, np.sqrt(np.maximum(across, 0.0)) / size)
+    return ResponseBand(
+        omega, G, np.sqrt(np.maximum(along, 0.0)) / size, np.sqrt(np.maximum(across, 0.0)) / size
+    )
 
 
 def _scaled(covariance: Array) -> Array:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.identification.experiment import Experiment
+from design.identification.experiment import Experiment, Stretch
 from design.identification.models import DiscreteModel
 from design.identification.simulation_error import Dynamics, SimulationError
 from design.mathematics.polynomials import Array
@@ -28,7 +28,9 @@ class Comparison:
     simulated: Array
     """Model output with the fitted initial state and offset. NaN where no input is known."""
     fit_percent: float
-    """100 (1 - |y - simulated| / |y - mean y|) over the samples that count. -inf where the simulation diverges."""
+    """100 (1 - |y - simulated| / |y - mean y|) over the samples that count. NaN for an unstable model."""
+    input_percent: float
+    """The same against the best free motion without an input in place of the mean: what the input explains."""
 
     @property
     def error(self) -> Array:
@@ -46,14 +48,29 @@ def compare(model: DiscreteModel, experiment: Experiment, *, drift: bool = False
         drift=drift,
         integrators=min(integrators, 1),
     )
-    simulated = np.full(len(experiment), np.nan)
-    found = data.simulate(Dynamics(model.f, model.b[:, None], model.nk)) if data.residuals else None
+    unstable = bool(len(poles)) and float(np.abs(poles).max()) > 1.0 + _INTEGRATOR
+    # The factor of the numerator is 1: the model's own gain, not the one that fits this record best.
+    found = (
+        None
+        if unstable or not data.residuals
+        else data.simulate(Dynamics(model.f, model.b[:, None], model.nk))
+    )
     if found is None:
-        return Comparison(experiment, simulated, -np.inf)
-    # Not with the gain that fits this record best, but with the model's.
-    for stretch, output in data.outputs(found.with_gains(np.ones(1))):
-        simulated[stretch.start : stretch.start + len(stretch)] = output
-    return Comparison(experiment, simulated, fit_percent(experiment, simulated))
+        return Comparison(experiment, np.full(len(experiment), np.nan), np.nan, np.nan)
+    simulated, free = (
+        _placed(experiment, data.outputs(found.with_gains(np.array([gain])))) for gain in (1.0, 0.0)
+    )
+    fit = fit_percent(experiment, simulated)
+    without_input = fit_percent(experiment, free)
+    share = (100.0 - fit) / (100.0 - without_input) if without_input < 100.0 else np.inf
+    return Comparison(experiment, simulated, fit, 100.0 * (1.0 - share))
+
+
+def _placed(experiment: Experiment, outputs: list[tuple[Stretch, Array]]) -> Array:
+    found = np.full(len(experiment), np.nan)
+    for stretch, output in outputs:
+        found[stretch.start : stretch.start + len(stretch)] = output
+    return found
 
 
 def fit_percent(experiment: Experiment, simulated: Array) -> float:
@@ -71,13 +88,13 @@ def fit_percent(experiment: Experiment, simulated: Array) -> float:
 
 
 def overall_fit(comparisons: Sequence[Comparison]) -> float:
-    """Fit in per cent over several records together. Each record keeps its own mean."""
+    """Fit in per cent over several records together. Each keeps its own mean. NaN for an unstable model."""
     if not comparisons:
         return float("nan")
     errors = spreads = 0.0
     for comparison in comparisons:
-        if not np.isfinite(comparison.fit_percent):
-            return -np.inf
+        if np.isnan(comparison.fit_percent):
+            return float("nan")
         counts = comparison.experiment.observed & np.isfinite(comparison.simulated)
         weights, y = comparison.experiment.weights[counts], comparison.experiment.y[counts]
         errors += float(weights @ (y - comparison.simulated[counts]) ** 2)
