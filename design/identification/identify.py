@@ -1,4 +1,4 @@
-"""From records to a model with its uncertainty, its fit on other data, and everything that speaks against it."""
+"""From records to a model with its uncertainty, its fit on other data, and all that speaks against it."""
 
 from __future__ import annotations
 
@@ -9,31 +9,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from design.errors import DesignError
-from design.identification.estimate import Estimate
-from design.identification.estimators import fit
-from design.identification.experiment import Experiment, Names
+from design.identification.analysis.comparison import Comparison, compare, overall_fit
+from design.identification.analysis.frequency_response import FrequencyResponse, frequency_response
+from design.identification.analysis.residuals import ResidualAnalysis, analyse_residuals
+from design.identification.analysis.uncertainty import Properties, properties
+from design.identification.checks.expectations import NOTHING_KNOWN, Expectations
+from design.identification.checks.model_checks import check_model
+from design.identification.checks.range_checks import without_stops
+from design.identification.checks.record_checks import check_record, check_validation
+from design.identification.estimators.estimate import Estimate
+from design.identification.estimators.fit import fit
+from design.identification.estimators.nearest_continuous import Nearest, nearest_continuous
 from design.identification.findings import Finding, Kind, Severity, most_severe_first, refuse_if_needed
-from design.identification.frequency_response import FrequencyResponse, frequency_response
-from design.identification.inverse_hold import (
-    Nearest,
-    NoContinuousModelError,
-    invert_hold,
-    nearest_continuous,
-)
-from design.identification.model_checks import check_model
-from design.identification.models import ContinuousModel, DiscreteModel
-from design.identification.record_checks import (
-    Expectations,
-    check_record,
-    check_validation,
-    overlapping,
-    without_stops,
-)
-from design.identification.residuals import ResidualAnalysis, analyse_residuals
-from design.identification.structures import OutputError, Structure, parse_structure
-from design.identification.uncertainty import Properties, properties
-from design.identification.validation import Comparison, compare, overall_fit
+from design.identification.models.inverse_hold import NoContinuousModelError, invert_hold
+from design.identification.models.model import ContinuousModel, DiscreteModel
+from design.identification.models.structures import OutputError, Structure, parse_structure
+from design.identification.records.experiment import UNNAMED, Experiment, Names
 
+DEFAULT_STRUCTURE = OutputError(1, 3, 1)
+"""The paper's structure, of eq. (15)."""
 ESTIMATION_SHARE = 2.0 / 3.0
 """Share of a record that is fitted if no other data are given for the validation."""
 
@@ -102,20 +96,20 @@ def identify(
     y: ArrayLike,
     sample_time_s: float,
     *,
-    structure: Structure | str = OutputError(),
+    structure: Structure | str = DEFAULT_STRUCTURE,
     weights: ArrayLike | None = None,
     validation: Sequence[Experiment] | None = None,
     drift: bool = False,
     transport_delay_samples: int = 0,
     remove_transport_delay: bool = True,
-    expected: Expectations = Expectations(),
+    expected: Expectations = NOTHING_KNOWN,
     name: str = "record",
-    names: Names = Names(),
+    names: Names = UNNAMED,
 ) -> Identification:
     """Identify a model from one record. See :func:`identify_experiments`.
 
-    ``u`` and ``y`` (N,) are sampled every ``sample_time_s``; u[k] is held from sample k to sample k + 1. NaN is a
-    missing sample. A sample of ``weights`` 0 does not count.
+    ``u`` and ``y`` (N,) are sampled every ``sample_time_s``; u[k] is held from sample k to sample k + 1.
+    NaN is a missing sample. A sample of ``weights`` 0 does not count.
     """
     record = Experiment(
         np.asarray(u),
@@ -139,21 +133,23 @@ def identify(
 def identify_experiments(
     experiments: Sequence[Experiment],
     *,
-    structure: Structure | str = OutputError(),
+    structure: Structure | str = DEFAULT_STRUCTURE,
     validation: Sequence[Experiment] | None = None,
     drift: bool = False,
     remove_transport_delay: bool = True,
-    expected: Expectations = Expectations(),
+    expected: Expectations = NOTHING_KNOWN,
 ) -> Identification:
-    """Identify one model from experiments of one sample time, each with an offset and initial state of its own.
+    """Identify one model from experiments of one sample time, each with an offset and initial state of its
+    own.
 
     Without ``validation``, the last third of each record is kept from the fit and used for it. With
-    ``remove_transport_delay``, the inputs are moved by each record's ``transport_delay_samples``, so that the model does
-    not contain the rig's delay. Samples at an end stop of ``expected.travel`` are left out. Raises RecordRefusedError
-    with all findings if a record allows no model, and DesignError for arguments that do not fit together.
+    ``remove_transport_delay``, the inputs are moved by each record's ``transport_delay_samples``, so that
+    the model does not contain the rig's delay. Samples at an end stop of ``expected.travel`` are left out.
+    Raises RecordRefusedError with all findings if a record allows no model, and DesignError for arguments
+    that do not fit together.
     """
     chosen = parse_structure(structure) if isinstance(structure, str) else structure
-    _check_delays(experiments, validation)
+    _check_records(experiments, validation)
     fitted, others = _prepared(experiments, validation, remove_transport_delay)
     found: list[Finding] = []
     for experiment in fitted:
@@ -181,16 +177,23 @@ def identify_experiments(
     )
 
 
-def _check_delays(experiments: Sequence[Experiment], validation: Sequence[Experiment] | None) -> None:
+def _are_the_same(first: Experiment, second: Experiment) -> bool:
+    """True if both hold the same samples."""
+    pairs = ((first.u, second.u), (first.y, second.y))
+    return first is second or all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+
+
+def _check_records(experiments: Sequence[Experiment], validation: Sequence[Experiment] | None) -> None:
     if not experiments:
         raise DesignError("no experiment to identify a model from")
     delays = {experiment.transport_delay_samples for experiment in [*experiments, *(validation or ())]}
     if len(delays) > 1:
         raise DesignError(
-            f"the records have transport delays of {', '.join(map(str, sorted(delays)))} samples; identify records of one "
+            f"the records have transport delays of {', '.join(map(str, sorted(delays)))} samples; identify "
+            "records of one "
             "rig together"
         )
-    if validation is not None and overlapping(experiments, validation):
+    if any(_are_the_same(fitted, other) for fitted in experiments for other in validation or ()):
         raise DesignError("estimation and validation data are the same; give another record, or none")
 
 

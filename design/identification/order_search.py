@@ -1,4 +1,6 @@
-"""Orders side by side: information criteria on the data that were fitted, and the fit on data that were not."""
+"""Orders side by side: information criteria on the data that were fitted, and the fit on data that were
+not.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +11,11 @@ from enum import StrEnum
 import numpy as np
 
 from design.errors import DesignError
-from design.identification.estimate import Estimate
-from design.identification.estimators import fit
-from design.identification.experiment import Experiment
-from design.identification.structures import OutputError, Structure
-from design.identification.validation import compare, overall_fit
+from design.identification.analysis.comparison import compare, overall_fit
+from design.identification.estimators.estimate import Estimate
+from design.identification.estimators.fit import fit
+from design.identification.models.structures import OutputError, Structure
+from design.identification.records.experiment import Experiment
 
 
 class Criterion(StrEnum):
