@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import lfilter
 
 from design.identification.models.difference_basis import basis
 from design.mathematics.polynomials import Array, ComplexArray
@@ -35,6 +34,13 @@ class DiscreteModel:
     def order(self) -> int:
         """Number of poles that are not the delay's."""
         return len(self.f) - 1
+
+    @property
+    def in_z(self) -> tuple[Array, Array]:
+        """Numerator and denominator of the plant's part in falling powers of z, the delay included."""
+        surplus = self.nk + len(self.b) - len(self.f)
+        num = np.concatenate([self.b, np.zeros(max(-surplus, 0))])
+        return num, np.concatenate([self.f, np.zeros(max(surplus, 0))])
 
     @property
     def poles_z(self) -> ComplexArray:
@@ -71,6 +77,8 @@ class DiscreteModel:
 
     def simulate(self, u: ArrayLike) -> Array:
         """Output (N,) without noise for the input (N,), from rest at 0."""
+        from scipy.signal import lfilter
+
         column = np.asarray(u, dtype=float)
         return np.asarray(lfilter(np.concatenate([np.zeros(self.nk), self.b]), self.f, column))
 

@@ -101,7 +101,7 @@ class Experiment:
         return replace(self, weights=np.where(np.asarray(without, dtype=bool), 0.0, self.weights))
 
     def interrupted(self, at: ArrayLike) -> Experiment:
-        """Return the record with the samples ``at`` (N,) as an interruption, after which the state is unknown.
+        """Return the record with an interruption at samples (N,), after which the state is unknown.
 
         For times at which no linear model holds, such as those at an end stop.
         """
