@@ -172,7 +172,7 @@ class SampleGuard:
         for volt, (axis, min_v, max_v) in zip(volts, self._ranges, strict=True):
             if not min_v <= volt <= max_v:
                 reason = (
-                    f"{axis}: potentiometer {volt:.3f} V, allowed {min_v:g} to {max_v:g} V "
+                    f"{axis}: potentiometer {volt:.3f} V outside {min_v:g} to {max_v:g} V "
                     f"(rig: axes.{axis}.potentiometer): check for a broken wire or a short circuit"
                 )
                 return Rejected(reason, lost_before=lost_before)

@@ -271,7 +271,7 @@ class TestRange:
 
     def test_the_reason_names_axis_value_and_limits(self) -> None:
         assert rejected(guard().check(sample(0, (5.0, 9.95, 5.0)), 0)) == (
-            "horizontal: potentiometer 9.950 V, allowed 0.1 to 9.9 V "
+            "horizontal: potentiometer 9.950 V outside 0.1 to 9.9 V "
             "(rig: axes.horizontal.potentiometer): check for a broken wire or a short circuit"
         )
 
