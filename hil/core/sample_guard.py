@@ -191,9 +191,9 @@ class SampleGuard:
 
     def _reject_too_many(self, data: bytes, match: TooMany) -> Rejected:
         return Rejected(
-            f"TPDO1_ADC: counter {data[6]} after {self._last_counter}, but {match.outstanding} SYNCs "
-            f"are unanswered: {SECOND_NODE}, or the board sends without SYNC, or it answers later than "
-            f"{ANSWER_TIMEOUT_PERIODS} periods",
+            f"TPDO1_ADC: counter {data[6]} after {self._last_counter} shows more answers than unanswered "
+            f"SYNCs ({match.outstanding}): {SECOND_NODE}, or the board sends without SYNC, or it answers "
+            f"later than {ANSWER_TIMEOUT_PERIODS} periods",
             SECOND_SENDER,
         )
 
