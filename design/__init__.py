@@ -4,6 +4,9 @@
 used; scipy, control and matplotlib are imported by the functions that need them.
 
 =========================  ==================================================================================
+``identify``               identify a model from arrays u and y; :class:`Identification`
+``identify_experiments``   the same from several records, each an :class:`Experiment`;
+                           :class:`RecordRefusedError` if a record allows no model
 ``load_plant``             read a plant file, or a shipped plant by its name; :class:`Plant`
 ``paper_plant``            the paper's plant, eq. (15)
 ``load_design``            read a design file; :class:`DesignFile` is the default without one
@@ -15,6 +18,7 @@ used; scipy, control and matplotlib are imported by the functions that need them
 ``Sampling``               sample time and delay of a loop
 ``plant_to_control``       a plant as a model of python-control
 ``plant_from_control``     a model of python-control as a plant
+``model_to_control``       an identified model as a model of python-control
 ``controller_to_control``  a controller file, as the gateway runs it, as a model of python-control
 ``DesignError``            a design that is not possible as requested
 =========================  ==================================================================================
@@ -46,12 +50,20 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from design.errors import DesignError
+    from design.identification.findings import RecordRefusedError
+    from design.identification.identify import Identification, identify, identify_experiments
+    from design.identification.records.experiment import Experiment
     from design.inputs import load_design, load_plant
     from design.loop_margins import LoopMargins, loop_margins
     from design.models.plant import Plant, paper_plant
     from design.models.sampling import Sampling
     from design.output.results import write_design
-    from design.python_control import controller_to_control, plant_from_control, plant_to_control
+    from design.python_control import (
+        controller_to_control,
+        model_to_control,
+        plant_from_control,
+        plant_to_control,
+    )
     from design.synthesis.design_file import DesignFile
     from design.synthesis.procedure import Design, design_controller
 
@@ -59,14 +71,20 @@ _HOMES = {
     "Design": "design.synthesis.procedure",
     "DesignError": "design.errors",
     "DesignFile": "design.synthesis.design_file",
+    "Experiment": "design.identification.records.experiment",
+    "Identification": "design.identification.identify",
     "LoopMargins": "design.loop_margins",
     "Plant": "design.models.plant",
+    "RecordRefusedError": "design.identification.findings",
     "Sampling": "design.models.sampling",
     "controller_to_control": "design.python_control",
     "design_controller": "design.synthesis.procedure",
+    "identify": "design.identification.identify",
+    "identify_experiments": "design.identification.identify",
     "load_design": "design.inputs",
     "load_plant": "design.inputs",
     "loop_margins": "design.loop_margins",
+    "model_to_control": "design.python_control",
     "paper_plant": "design.models.plant",
     "plant_from_control": "design.python_control",
     "plant_to_control": "design.python_control",
@@ -78,14 +96,20 @@ __all__ = [
     "Design",
     "DesignError",
     "DesignFile",
+    "Experiment",
+    "Identification",
     "LoopMargins",
     "Plant",
+    "RecordRefusedError",
     "Sampling",
     "controller_to_control",
     "design_controller",
+    "identify",
+    "identify_experiments",
     "load_design",
     "load_plant",
     "loop_margins",
+    "model_to_control",
     "paper_plant",
     "plant_from_control",
     "plant_to_control",

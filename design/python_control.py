@@ -1,4 +1,4 @@
-"""Conversions to and from python-control: plants, and a controller file's law as the daemon runs it.
+"""Conversions to and from python-control: plants, identified models, and laws as the daemon runs them.
 
 They serve to bring a model from python-control, and to check a finished controller with its tools. Signals
 are named r, y and u, so that ``control.interconnect`` connects the loop. python-control is imported when a
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from design.errors import DesignError
+from design.identification.models.model import ContinuousModel, DiscreteModel
 from design.mathematics.polynomials import Array
 from design.models.plant import Plant, read_plant
 from design.models.realisation import StateSpace, realise, transfer_function, tustin
@@ -45,6 +46,26 @@ def plant_to_control(
         # A direct path of 1e-19, from rounding, would turn every feedback into an algebraic loop.
         D = np.zeros_like(D)
     return control.ss(A, B, C, D, sampling.period_s, **names)
+
+
+def model_to_control(model: DiscreteModel | ContinuousModel, name: str = "model") -> control.TransferFunction:
+    """Return an identified model as python-control's transfer function, from u to y.
+
+    A sampled model contains its hold and its delay. Raises DesignError for a continuous model with a dead
+    time, of which python-control has no exact model; take the sampled one then.
+    """
+    import control
+
+    names = {"name": name, "inputs": "u", "outputs": "y"}
+    if isinstance(model, ContinuousModel):
+        if model.dead_time_s:
+            raise DesignError(
+                f"{name}: its dead time of {model.dead_time_s:g} s has no exact continuous model in "
+                "python-control; convert the sampled model"
+            )
+        return control.tf(model.num, model.den, **names)
+    num, den = model.in_z
+    return control.tf(num, den, model.sample_time_s, **names)
 
 
 def controller_to_control(controller: ControllerFile) -> control.StateSpace:

@@ -40,6 +40,8 @@ Offsets: TypeAlias = dict[int, npt.NDArray[np.int64]]
 MESSAGE_FIELDS = {"length": ("<u8", 1), "log_time": ("<u8", 15), "publish_time": ("<u8", 23)}
 """Type and offset of the fields before each payload that :meth:`McapContents.rows` adds to the columns."""
 
+MAX_CHUNK_BYTES = 256 * 1024 * 1024
+"""Largest chunk that is decompressed: a damaged or hostile file may state any size."""
 _PARSE_ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError)
 """Exceptions of the classes of ``mcap`` when the bytes are not such a record."""
 _FOOTER_UP_TO_CRC = RECORD_HEADER.size + 16
@@ -251,6 +253,9 @@ class McapContents:
                 f"{self.path}: its chunks are compressed with {record.compression}; only zstd can be read"
             )
         try:
+            stated = max(record.uncompressed_size, _frame_bytes(record.data) if record.compression else 0)
+            if stated > MAX_CHUNK_BYTES:
+                raise RecordingError(f"{damaged}: it states {stated} bytes, limit {MAX_CHUNK_BYTES}")
             body: bytes = (
                 self._decompressor.decompress(record.data, record.uncompressed_size)
                 if record.compression
@@ -292,3 +297,8 @@ def _numpy_code(struct_code: str) -> str:
 
 def _stream(body: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
+
+
+def _frame_bytes(compressed: bytes) -> int:
+    """Return the size that a zstd frame states for its content; -1 if it states none."""
+    return int(zstandard.frame_content_size(compressed))

@@ -20,6 +20,7 @@ PURE = (
     "firmware_sim.plants",
     "design.mathematics",
     "design.models",
+    "design.identification",
     "design.robustness",
     "design.closed_loop",
     "design.search",
@@ -43,6 +44,7 @@ MAY_IMPORT = {
     "design.mathematics": set(),
     "design.search": {"design.mathematics"},
     "design.models": {"design.mathematics"},
+    "design.identification": {"design.mathematics", "design.models"},
     "design.robustness": {"design.mathematics", "design.models"},
     "design.closed_loop": {"design.mathematics", "design.models", "design.robustness"},
     "design.synthesis": {

@@ -7,14 +7,19 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.reader import McapReader, NonSeekingReader, make_reader
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, Message, MessageIndex, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.stream_reader import breakup_chunk as records_in
+from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from support.recorded_runs import EPOCH_OFFSET_NS, PERIOD_NS, RUN_HEADER, START_NS, record_run
+
+from hil.core.errors import RecordingError
+from hil.recording import mcap_reader
 
 PERIODS = 400
 TOPICS = {
@@ -30,6 +35,7 @@ TOPICS = {
     "/axis/horizontal": "hil_msgs/msg/AxisSignals",
     "/axis/rotation": "hil_msgs/msg/AxisSignals",
 }
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 @pytest.fixture(scope="module")
@@ -188,3 +194,22 @@ def test_rosbags_reads_every_topic(path: Path) -> None:
             if connection.topic == "/gateway/log":
                 assert message.msg == "armed -> running (start)"
         assert found == counts
+
+
+def test_a_chunk_that_states_gigabytes_is_refused_without_allocating_them(tmp_path: Path) -> None:
+    """A zstd frame of a few bytes may state any size for its content."""
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("hil_msgs/msg/A", "ros2msg", b"uint8 x")
+        channel = writer.register_channel("/a", "cdr", schema)
+        writer.add_message(channel, 0, bytes(70_000), 0)
+        writer.finish()
+    data = path.read_bytes()
+    header = data[data.index(ZSTD_MAGIC) :][:18]
+    size = zstandard.frame_content_size(header).to_bytes(4, "little")
+    stated = (mcap_reader.MAX_CHUNK_BYTES + 1).to_bytes(4, "little")
+    path.write_bytes(data.replace(header, header.replace(size, stated), 1))
+    with pytest.raises(RecordingError, match=r"it states 268435457 bytes, limit 268435456"):
+        mcap_reader.McapContents(path)

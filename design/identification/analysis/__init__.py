@@ -1,0 +1,1 @@
+"""Models beside data: simulation, residuals, uncertainty, and responses measured without a model."""

@@ -1,0 +1,1 @@
+"""What can be said against a record or a model, as typed findings."""

@@ -1,0 +1,1 @@
+"""Parametric estimators, and the numerics that they share."""

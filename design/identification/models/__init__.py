@@ -1,0 +1,1 @@
+"""Model structures, sampled and continuous models, and the way between them."""

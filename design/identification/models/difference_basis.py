@@ -1,0 +1,39 @@
+"""Delayed signals as backward differences.
+
+A polynomial in z^-1 is written in powers of 1 - z^-1. Where a record is sampled fast, the delayed copies of a
+signal are nearly equal and least squares on them loses digits; its differences are of different size, but
+independent. The coefficients in either basis follow from the other by the same matrix.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import comb
+
+import numpy as np
+
+from design.mathematics.polynomials import Array
+
+
+@lru_cache
+def basis(count: int) -> Array:
+    """Matrix V (n, n) from coefficients of (1 - z^-1)^i to coefficients of z^-i. It is its own inverse."""
+    V = np.array([[(-1.0) ** i * comb(j, i) for j in range(count)] for i in range(count)]).reshape(
+        count, count
+    )
+    V.flags.writeable = False
+    return V
+
+
+def differences(signal: Array, count: int, lag: int) -> Array:
+    """The signal (m,), delayed by ``lag`` samples, and its first ``count - 1`` differences (count, m).
+
+    The signal is 0 before its first sample.
+    """
+    found = np.zeros((count, len(signal)))
+    if count and lag < len(signal):
+        found[0, lag:] = signal[: len(signal) - lag]
+    for i in range(1, count):
+        found[i, 0] = found[i - 1, 0]
+        np.subtract(found[i - 1, 1:], found[i - 1, :-1], out=found[i, 1:])
+    return found

@@ -1,0 +1,101 @@
+"""Orders side by side: information criteria on the data that were fitted, and the fit on data that were
+not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from design.errors import DesignError
+from design.identification.analysis.comparison import compare, overall_fit
+from design.identification.estimators.estimate import Estimate
+from design.identification.estimators.fit import fit
+from design.identification.models.structures import OutputError, Structure
+from design.identification.records.experiment import Experiment
+
+
+class Criterion(StrEnum):
+    """By what a structure is chosen."""
+
+    AIC = "aic"
+    BIC = "bic"
+    VALIDATION = "fit on validation data"
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One structure of a search."""
+
+    structure: Structure
+    estimate: Estimate | None
+    """None where the data cannot determine the structure."""
+    fit_percent: float
+    """Free-running fit on the validation data."""
+    reason: str = ""
+    """Why there is no estimate."""
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion. A smaller value is better."""
+        return np.inf if self.estimate is None else self.estimate.aic
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion. A smaller value is better."""
+        return np.inf if self.estimate is None else self.estimate.bic
+
+
+@dataclass(frozen=True, eq=False)
+class OrderTable:
+    """All structures of a search, in the order in which they were given."""
+
+    rows: tuple[Row, ...]
+
+    def best(self, criterion: Criterion = Criterion.BIC) -> Row:
+        """The best structure by a criterion. Raises DesignError where none has a model."""
+        usable = [row for row in self.rows if row.estimate is not None]
+        if not usable:
+            raise DesignError(
+                "no structure of the search has a model: " + "; ".join({row.reason for row in self.rows})
+            )
+        match criterion:
+            case Criterion.AIC:
+                return min(usable, key=lambda row: row.aic)
+            case Criterion.BIC:
+                return min(usable, key=lambda row: row.bic)
+            case Criterion.VALIDATION:
+                return max(usable, key=lambda row: row.fit_percent)
+
+
+def output_error_orders(
+    nb: Iterable[int] = (1, 2, 3), nf: Iterable[int] = (1, 2, 3, 4), nk: Iterable[int] = (1, 2, 3)
+) -> list[Structure]:
+    """Every output-error structure with these orders whose B is not longer than its F."""
+    delays, lengths = tuple(nk), tuple(nb)
+    return [OutputError(b, f, k) for f in nf for b in lengths for k in delays if b <= max(f, 1)]
+
+
+def search_orders(
+    experiments: Sequence[Experiment],
+    validation: Sequence[Experiment],
+    structures: Iterable[Structure],
+    *,
+    drift: bool = False,
+) -> OrderTable:
+    """Fit every structure, and compare each with the validation data in a free-running simulation."""
+    rows = []
+    for structure in structures:
+        try:
+            estimate = fit(experiments, structure, drift=drift)
+        except DesignError as reason:
+            rows.append(Row(structure, None, -np.inf, str(reason)))
+            continue
+        fit_percent = overall_fit(
+            [compare(estimate.discrete, experiment, drift=drift) for experiment in validation]
+        )
+        rows.append(Row(structure, estimate, fit_percent))
+    return OrderTable(tuple(rows))

@@ -1,0 +1,1 @@
+"""Records as the estimators take them."""
