@@ -9,7 +9,7 @@ import numpy as np
 
 from design.errors import DesignError
 from design.identification.identify import Identification
-from design.identification.models import DiscreteModel
+from design.identification.models.model import DiscreteModel
 from design.mathematics.polynomials import Array
 from design.models.plant import Covariance, Plant
 from design.models.plant import DiscreteModel as DiscreteDocument

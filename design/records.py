@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from design.identification.experiment import Experiment, Names
+from design.identification.checks.expectations import Expectations
 from design.identification.findings import Finding
-from design.identification.record_checks import Expectations
-from design.identification.time_stamps import from_time_stamps
+from design.identification.records.experiment import Experiment, Names
+from design.identification.records.time_stamps import from_time_stamps
 from design.mathematics.polynomials import Array
 from hil.core.errors import DocumentError
 from hil.core.phase import Phase

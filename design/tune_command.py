@@ -35,13 +35,23 @@ def parser() -> CommandParser:
     """Return the parser of the arguments of ``hil tune``."""
     command = CommandParser(prog="hil tune", description=DESCRIPTION, epilog=EPILOG)
     command.add_argument("--axis", required=True, metavar="AXIS", help="axis to tune")
-    command.add_argument("--amplitude", type=float, default=0.4, metavar="V", help="of the excitation (default 0.4)")
-    command.add_argument("--duration", type=float, default=60.0, metavar="S", help="of an experiment (default 60)")
-    command.add_argument("--structure", default="OE(1,3,1)", metavar="TEXT", help="model structure, see hil identify")
+    command.add_argument(
+        "--amplitude", type=float, default=0.4, metavar="V", help="of the excitation (default 0.4)"
+    )
+    command.add_argument(
+        "--duration", type=float, default=60.0, metavar="S", help="of an experiment (default 60)"
+    )
+    command.add_argument(
+        "--structure", default="OE(1,3,1)", metavar="TEXT", help="model structure, see hil identify"
+    )
     command.add_argument("--design", metavar="FILE", help="design file (default: that of hil design --init)")
     command.add_argument("--conditions", type=Path, metavar="FILE", help="conditions, TOML, see below")
-    command.add_argument("--step", type=float, metavar="Y", help="step of the verification (default 0.1 m, 0.5 rad)")
-    command.add_argument("--controller", metavar="FILE", help="controller during the experiments (rig file's)")
+    command.add_argument(
+        "--step", type=float, metavar="Y", help="step of the verification (default 0.1 m, 0.5 rad)"
+    )
+    command.add_argument(
+        "--controller", metavar="FILE", help="controller during the experiments (rig file's)"
+    )
     command.add_argument("--rig", metavar="FILE", help="rig file (default: the shipped example)")
     where = command.add_mutually_exclusive_group(required=True)
     where.add_argument("--bus", metavar="BUS", help="bus of the boards")
@@ -90,9 +100,7 @@ def main(argv: list[str]) -> int:
     if written.controller is None:
         raise HilError(f"no controller was written: its loop is unstable on the rig; see {written.report}")
     verified = tuning.verify(job, models, requirements, written.controller, directory, say, ask)
-    requested = (
-        None if job.design is not None else tuning._default_design().specifications.settling_s
-    )
+    requested = None if job.design is not None else tuning._default_design().specifications.settling_s
     result = tuning.Tuning(
         job, tuple(models), requirements, requested, design, written.controller, tuple(verified)
     )

@@ -68,7 +68,9 @@ SIMULATED_CONDITIONS = (
 """The paper's load and supply pressure (Fig. 14)."""
 REAL_CONDITIONS = (
     Condition(name="nominal"),
-    Condition(name="repeat", instruction="Change nothing: this experiment shows how well the first one repeats."),
+    Condition(
+        name="repeat", instruction="Change nothing: this experiment shows how well the first one repeats."
+    ),
 )
 
 
@@ -177,7 +179,9 @@ def collect(job: Job, directory: Path, say: Say, ask: Ask) -> list[tuple[Conditi
         paths = [directory / f"{condition.name}-{seed}.mcap" for seed in (ESTIMATION_SEED, VALIDATION_SEED)]
         missing = [path for path in paths if not path.exists()]
         if missing and job.bus is not None:
-            ask(f"Condition {condition.name}. {condition.instruction} The axis {job.axis} will then be excited.")
+            ask(
+                f"Condition {condition.name}. {condition.instruction} The axis {job.axis} will then be excited."
+            )
         for path, seed in zip(paths, (ESTIMATION_SEED, VALIDATION_SEED), strict=True):
             if path in missing:
                 say(f"{condition.name}: exciting {job.axis}, {job.duration_s:g} s, seed {seed}")
@@ -221,7 +225,9 @@ def identify(
     return models
 
 
-def design(job: Job, models: Sequence[Model], say: Say, on_progress: OnProgress | None = None) -> tuple[Design, DesignFile]:
+def design(
+    job: Job, models: Sequence[Model], say: Say, on_progress: OnProgress | None = None
+) -> tuple[Design, DesignFile]:
     """Design against all models. Without a design file, an infeasible settling time is lengthened.
 
     Raises DesignError where no controller meets the specifications on all models.
@@ -240,7 +246,9 @@ def design(job: Job, models: Sequence[Model], say: Say, on_progress: OnProgress 
             settling = requirements.specifications.settling_s
             if job.design is not None or settling is None or attempt == MAX_LENGTHENINGS:
                 raise
-            say(f"no controller settles within {settling:.3g} s on all models; asking for less. ({infeasible})")
+            say(
+                f"no controller settles within {settling:.3g} s on all models; asking for less. ({infeasible})"
+            )
             longer = msgspec.structs.replace(
                 requirements.specifications, settling_s=round(SETTLING_FACTOR * settling, 3)
             )
@@ -249,7 +257,13 @@ def design(job: Job, models: Sequence[Model], say: Say, on_progress: OnProgress 
 
 
 def verify(
-    job: Job, models: Sequence[Model], requirements: DesignFile, controller: Path, directory: Path, say: Say, ask: Ask
+    job: Job,
+    models: Sequence[Model],
+    requirements: DesignFile,
+    controller: Path,
+    directory: Path,
+    say: Say,
+    ask: Ask,
 ) -> list[Verified]:
     """Step the axis with the new controller under every condition, and compare with the specifications."""
     from hil.recording import open_recording
@@ -261,7 +275,9 @@ def verify(
         path = directory / f"{condition.name}-step.mcap"
         if not path.exists():
             if job.bus is not None:
-                ask(f"Condition {condition.name}. {condition.instruction} The new controller will then step {job.axis}.")
+                ask(
+                    f"Condition {condition.name}. {condition.instruction} The new controller will then step {job.axis}."
+                )
             say(f"{condition.name}: stepping {job.axis} with the new controller")
             _experiment(path, _step_command(job, model, requirements, controller))
         measured = summarise(open_recording(path)).axes[job.axis]
@@ -283,7 +299,9 @@ def _failures(measured: StepResponse, requirements: DesignFile) -> list[str]:
     found = []
     if limits.overshoot is not None and measured.overshoot_percent > 100.0 * limits.overshoot:
         found.append(f"overshoot {measured.overshoot_percent:.2f} %, limit {100.0 * limits.overshoot:g} %")
-    if limits.settling_s is not None and (measured.settling_s is None or measured.settling_s > limits.settling_s):
+    if limits.settling_s is not None and (
+        measured.settling_s is None or measured.settling_s > limits.settling_s
+    ):
         settled = "never" if measured.settling_s is None else f"{measured.settling_s:.2f} s"
         found.append(f"settling time {settled}, limit {limits.settling_s:g} s")
     return found
@@ -313,7 +331,10 @@ def _step_command(job: Job, model: Model, requirements: DesignFile, controller: 
     axes = load_rig(job.rig).axes
     size = job.step if job.step is not None else STEP_SHARE[model.plant.output_unit]
     settling = requirements.specifications.settling_s or 2.0
-    setpoints = [f"{job.axis}=step:{size!r}@{SETTLE_S!r}", *(f"{name}=hold" for name in axes if name != job.axis)]
+    setpoints = [
+        f"{job.axis}=step:{size!r}@{SETTLE_S!r}",
+        *(f"{name}=hold" for name in axes if name != job.axis),
+    ]
     return [
         "run",
         "--controller",
@@ -344,7 +365,10 @@ def _experiment(path: Path, command: list[str]) -> None:
     yes = ["--yes"] if command[0] == "collect" else []
     # -P: modules in the working directory are not imported.
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "hil.cli", *command, *target, *yes], capture_output=True, text=True, check=False
+        [sys.executable, "-P", "-m", "hil.cli", *command, *target, *yes],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode != 0:
         said = (done.stderr or done.stdout).strip()
