@@ -79,7 +79,7 @@ class Gateway:
         self._state_at_deadline = LifeCycleState.OFFLINE
         self._next_heartbeat_number = 0
         self._has_sample = True
-        """Whether a good sample has arrived in the present period."""
+        """Whether a good sample has arrived in the present period. True before the first period."""
         self._stale_periods = 0
         self._reported_phase = Phase.NONE
 
@@ -182,7 +182,7 @@ class Gateway:
 
     def _report_skipped(self, skipped: int, now_ns: int) -> Output:
         late_ms = (now_ns - self._clock.next_deadline_ns) / 1e6
-        text = f"woke up {late_ms:.1f} ms late: {skipped} periods skipped"
+        text = f"woke up {late_ms:.1f} ms late, skipped periods: {skipped}"
         return Output(log=(LogEntry(Severity.WARNING, "loop", text),))
 
     def _count_stale_periods(self, skipped: int) -> Output:

@@ -172,7 +172,7 @@ class SampleGuard:
         for volt, (axis, min_v, max_v) in zip(volts, self._ranges, strict=True):
             if not min_v <= volt <= max_v:
                 reason = (
-                    f"{axis}: potentiometer {volt:.3f} V, allowed {min_v:g} to {max_v:g} V "
+                    f"{axis}: potentiometer {volt:.3f} V outside {min_v:g} to {max_v:g} V "
                     f"(rig: axes.{axis}.potentiometer): check for a broken wire or a short circuit"
                 )
                 return Rejected(reason, lost_before=lost_before)
@@ -191,9 +191,9 @@ class SampleGuard:
 
     def _reject_too_many(self, data: bytes, match: TooMany) -> Rejected:
         return Rejected(
-            f"TPDO1_ADC: counter {data[6]} after {self._last_counter}, but {match.outstanding} SYNCs "
-            f"are unanswered: {SECOND_NODE}, or the board sends without SYNC, or it answers later than "
-            f"{ANSWER_TIMEOUT_PERIODS} periods",
+            f"TPDO1_ADC: counter {data[6]} after {self._last_counter} shows more answers than unanswered "
+            f"SYNCs ({match.outstanding}): {SECOND_NODE}, or the board sends without SYNC, or it answers "
+            f"later than {ANSWER_TIMEOUT_PERIODS} periods",
             SECOND_SENDER,
         )
 

@@ -32,8 +32,8 @@ def test_samples_of_another_node_are_a_fault_or_are_rejected(state: LifeCycleSta
     if is_ahead:
         assert commands(output) == [CENTRED]
         assert faults(output)[0].startswith(
-            "adc: TPDO1_ADC: counter 42 after 1, but 0 SYNCs are unanswered: another node sends the same "
-            "identifier"
+            "adc: TPDO1_ADC: counter 42 after 1 shows more answers than unanswered SYNCs (0): another node "
+            "sends the same identifier"
         )
         return
     assert commands(output) == []

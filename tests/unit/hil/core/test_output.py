@@ -36,6 +36,15 @@ class TestCombine:
         assert combine(Output(cycle=CYCLE), Output(cycle=LATER)).cycle is LATER
 
 
+def test_severities_are_the_levels_of_ros_logs() -> None:
+    assert {severity.name: severity.value for severity in Severity} == {
+        "INFO": 20,
+        "WARNING": 30,
+        "ERROR": 40,
+        "FATAL": 50,
+    }
+
+
 class TestLogThrottle:
     def test_the_first_eight_and_then_powers_of_two_are_reported(self) -> None:
         throttle = LogThrottle()

@@ -65,7 +65,7 @@ class TestLateDeadlines:
         due_ns = gateway.core.next_deadline_ns
         output = gateway.deadline(late_ns=skipped * PERIOD_NS)
         assert output.frames.count(SYNC) == 1
-        assert texts(output) == [f"loop: woke up {skipped * 11.2:.1f} ms late: {skipped} periods skipped"]
+        assert texts(output) == [f"loop: woke up {skipped * 11.2:.1f} ms late, skipped periods: {skipped}"]
         assert gateway.core.next_deadline_ns == due_ns + (skipped + 1) * PERIOD_NS
         assert gateway.core.missed_periods == skipped
         cycle = gateway.sample().cycle

@@ -169,7 +169,9 @@ class TestCounter:
         checks = guard()
         accepted(checks.check(sample(7), 0))
         reason = rejected(send_syncs(checks, syncs).check(sample(7 + step), 0), SECOND_SENDER)
-        assert reason.startswith(f"TPDO1_ADC: counter {7 + step} after 7, but {syncs} SYNCs are unanswered: ")
+        assert reason.startswith(
+            f"TPDO1_ADC: counter {7 + step} after 7 shows more answers than unanswered SYNCs ({syncs}): "
+        )
         later_ns = ANSWER_TIMEOUT_PERIODS * PERIOD_NS
         while not checks.begin_period(later_ns, may_wait=True):
             pass
@@ -235,7 +237,7 @@ class TestStrictCheck:
 
     def test_the_reason_of_a_certain_second_sender_stays(self) -> None:
         verdict = self.suspicious().check_strictly(sample(9), 0)
-        assert "1 SYNCs are unanswered" in rejected(verdict, SECOND_SENDER)
+        assert "more answers than unanswered SYNCs (1)" in rejected(verdict, SECOND_SENDER)
 
 
 class TestAge:
@@ -271,7 +273,7 @@ class TestRange:
 
     def test_the_reason_names_axis_value_and_limits(self) -> None:
         assert rejected(guard().check(sample(0, (5.0, 9.95, 5.0)), 0)) == (
-            "horizontal: potentiometer 9.950 V, allowed 0.1 to 9.9 V "
+            "horizontal: potentiometer 9.950 V outside 0.1 to 9.9 V "
             "(rig: axes.horizontal.potentiometer): check for a broken wire or a short circuit"
         )
 
@@ -312,7 +314,9 @@ def test_the_first_failed_check_gives_the_reason() -> None:
     assert "twice, with" in rejected(checks.check(sample(3, bad_range), late_ns), SECOND_SENDER)
     assert "repeated" in rejected(checks.check(sample(3), late_ns))
     assert "repeated" in rejected(send_syncs(checks).check(sample(3, bad_range), late_ns))
-    assert "1 SYNCs are unanswered" in rejected(checks.check(sample(5, bad_range), late_ns), SECOND_SENDER)
+    assert "more answers than unanswered SYNCs (1)" in rejected(
+        checks.check(sample(5, bad_range), late_ns), SECOND_SENDER
+    )
     assert "after SYNC" in rejected(checks.check(sample(4, bad_range), late_ns))
     assert "no SYNC is unanswered" in rejected(checks.check(sample(5, bad_range), late_ns))
     assert "after SYNC" in rejected(send_syncs(checks).check(sample(6, bad_range), late_ns))

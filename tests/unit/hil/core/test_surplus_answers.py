@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.core.surplus_answers import (
-    MAX_SURPLUS_PERIODS,
-    MAX_UNANSWERED_SYNCS,
-    SURPLUS_PERIODS_LIMIT,
-    SurplusAnswers,
-)
+from hil.core.surplus_answers import SurplusAnswers
 
 
 def period(surplus: SurplusAnswers, answers: int) -> bool:
@@ -20,15 +15,25 @@ def period(surplus: SurplusAnswers, answers: int) -> bool:
     return any(verdicts)
 
 
+def test_at_the_beginning_nothing_is_suspected() -> None:
+    assert not SurplusAnswers().is_suspected
+
+
+def test_an_answer_before_the_first_period_is_a_surplus() -> None:
+    surplus = SurplusAnswers()
+    surplus.answer_received()
+    assert surplus.is_suspected
+
+
 def test_one_answer_to_each_sync_is_no_surplus() -> None:
     surplus = SurplusAnswers()
     assert not any(period(surplus, 1) for _ in range(100))
     assert not surplus.is_suspected
 
 
-def test_two_answers_in_each_period_are_certain_at_the_limit() -> None:
+def test_two_answers_in_each_of_three_periods_are_certain() -> None:
     surplus = SurplusAnswers()
-    assert [period(surplus, 2) for _ in range(SURPLUS_PERIODS_LIMIT)] == [False, False, True]
+    assert [period(surplus, 2) for _ in range(3)] == [False, False, True]
 
 
 def test_one_surplus_answer_is_suspicious_for_one_period() -> None:
@@ -56,26 +61,30 @@ def test_a_surplus_in_every_other_period_is_never_certain() -> None:
 
 def test_late_answers_to_earlier_syncs_are_no_surplus() -> None:
     surplus = SurplusAnswers()
-    for _ in range(MAX_UNANSWERED_SYNCS):
+    for _ in range(4):
         period(surplus, 0)
-    assert not period(surplus, MAX_UNANSWERED_SYNCS)
+    period(surplus, 5)
     assert not surplus.is_suspected
 
 
-def test_syncs_of_long_ago_do_not_hide_a_surplus() -> None:
+def test_no_more_than_five_syncs_may_still_be_answered() -> None:
     surplus = SurplusAnswers()
     for _ in range(100):
         period(surplus, 0)
-    period(surplus, MAX_UNANSWERED_SYNCS + 1)
+    period(surplus, 5)
+    assert not surplus.is_suspected
+    for _ in range(100):
+        period(surplus, 0)
+    period(surplus, 6)
     assert surplus.is_suspected
 
 
-@pytest.mark.parametrize("periods", [MAX_SURPLUS_PERIODS, 100])
-def test_a_second_sender_that_has_gone_is_forgotten(periods: int) -> None:
+@pytest.mark.parametrize("periods", [6, 100])
+def test_a_second_sender_that_has_gone_is_forgotten_after_six_periods(periods: int) -> None:
     surplus = SurplusAnswers()
     for _ in range(periods):
         period(surplus, 2)
-    for _ in range(MAX_SURPLUS_PERIODS):
+    for _ in range(6):
         assert surplus.is_suspected
         period(surplus, 1)
     period(surplus, 1)
