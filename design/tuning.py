@@ -7,6 +7,7 @@ that they go through the gateway exactly as those of a user.
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -16,7 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 
-from design.errors import DesignError, InfeasibleError
+from design.closed_loop.specifications import QUANTITIES, Reading
+from design.errors import InfeasibleError
 from hil.core.documents import Document, from_toml, to_json
 from hil.core.errors import DocumentError, HilError
 from hil.host.text_file import read_text
@@ -33,10 +35,12 @@ SETTLING_FACTOR = 1.5
 """Without a design file, an infeasible settling time is lengthened by this factor…"""
 MAX_LENGTHENINGS = 4
 """… at most so many times. The report says which limit was used."""
-SETTLE_S = 2.0
-"""Rest before the step of a verification, in s."""
-STEP_SHARE = {"m": 0.1, "rad": 0.5}
-"""Size of the step of a verification, by the axis' unit."""
+MAX_VERIFICATIONS = 3
+"""Controllers that are tried on the rig at most, each with a longer settling time than the one before."""
+SETTLE_S = 4.0
+"""Rest before the step of a verification, in s, besides one settling time."""
+DEFAULT_STEP = {"m": 0.1, "rad": 0.5}
+"""Size of the step of a verification, by the axis' unit. It lies symmetrically about the centre."""
 
 Say = Callable[[str], None]
 Ask = Callable[[str], None]
@@ -63,7 +67,7 @@ class Conditions(Document, frozen=True):
 
 SIMULATED_CONDITIONS = (
     Condition(name="nominal"),
-    Condition(name="loaded", events=["payload:3@0", "supply:400@0"]),
+    Condition(name="loaded", events=["payload:3@0", "supply-pressure:400@0"]),
 )
 """The paper's load and supply pressure (Fig. 14)."""
 REAL_CONDITIONS = (
@@ -137,9 +141,7 @@ class Tuning:
     @property
     def meets_specifications(self) -> bool:
         """Whether the design and every measured step meet the specifications."""
-        return all(reading.met for reading in self.design.designed_readings) and not any(
-            verified.failures for verified in self.verified
-        )
+        return not missed_readings(self.design) and not any(verified.failures for verified in self.verified)
 
 
 def read_conditions(path: Path) -> list[Condition]:
@@ -161,8 +163,8 @@ def claim_folder(directory: Path, job: Job) -> bool:
     if note.exists():
         if note.read_text("utf-8") != text:
             raise DocumentError(
-                f"{directory} holds the results of another tuning (see tune.json there); give another --out, or "
-                "remove the folder"
+                f"{directory} holds the results of another tuning (see tune.json there); give another "
+                "--out, or remove the folder"
             )
         return True
     if directory.exists() and any(directory.iterdir()):
@@ -173,15 +175,13 @@ def claim_folder(directory: Path, job: Job) -> bool:
 
 
 def collect(job: Job, directory: Path, say: Say, ask: Ask) -> list[tuple[Condition, Path, Path]]:
-    """Run the experiments that are missing: two records under each condition, (condition, to fit, to validate)."""
+    """Run the experiments that are missing: for each condition, a record to fit and one to validate with."""
     found = []
     for condition in job.conditions:
         paths = [directory / f"{condition.name}-{seed}.mcap" for seed in (ESTIMATION_SEED, VALIDATION_SEED)]
         missing = [path for path in paths if not path.exists()]
         if missing and job.bus is not None:
-            ask(
-                f"Condition {condition.name}. {condition.instruction} The axis {job.axis} will then be excited."
-            )
+            ask(f"Condition {condition.name}. {condition.instruction} Then {job.axis} will be excited.")
         for path, seed in zip(paths, (ESTIMATION_SEED, VALIDATION_SEED), strict=True):
             if path in missing:
                 say(f"{condition.name}: exciting {job.axis}, {job.duration_s:g} s, seed {seed}")
@@ -226,34 +226,61 @@ def identify(
 
 
 def design(
-    job: Job, models: Sequence[Model], say: Say, on_progress: OnProgress | None = None
+    job: Job,
+    models: Sequence[Model],
+    say: Say,
+    on_progress: OnProgress | None = None,
+    settling_s: float | None = None,
 ) -> tuple[Design, DesignFile]:
-    """Design against all models. Without a design file, an infeasible settling time is lengthened.
+    """Design against all models. Without a design file, a settling time that cannot be met is lengthened.
 
-    Raises DesignError where no controller meets the specifications on all models.
+    ``settling_s`` replaces the limit on the settling time to begin with. Raises DesignError where no
+    controller meets the specifications on all models.
     """
     from design.inputs import load_design
     from design.synthesis.design_file import FurtherPlants
     from design.synthesis.procedure import design_controller
 
-    requirements = load_design(job.design) if job.design else _default_design()
+    requirements = load_design(job.design) if job.design else default_design()
     requirements = msgspec.structs.replace(requirements, further_plants=FurtherPlants(worst_case=True))
+    if settling_s is not None:
+        requirements = _with_settling(requirements, settling_s)
     nominal, *others = [model.plant for model in models]
-    for attempt in range(MAX_LENGTHENINGS + 1):
+    for _ in range(MAX_LENGTHENINGS):
+        settling = requirements.specifications.settling_s
         try:
-            return design_controller(requirements, nominal, others, on_progress), requirements
-        except InfeasibleError as infeasible:
-            settling = requirements.specifications.settling_s
-            if job.design is not None or settling is None or attempt == MAX_LENGTHENINGS:
+            found = design_controller(requirements, nominal, others, on_progress)
+            if job.design is not None or settling is None or not missed_readings(found):
+                return found, requirements
+        except InfeasibleError:
+            if job.design is not None or settling is None:
                 raise
-            say(
-                f"no controller settles within {settling:.3g} s on all models; asking for less. ({infeasible})"
-            )
-            longer = msgspec.structs.replace(
-                requirements.specifications, settling_s=round(SETTLING_FACTOR * settling, 3)
-            )
-            requirements = msgspec.structs.replace(requirements, specifications=longer)
-    raise DesignError("unreachable")
+        longer_s = longer_settling(requirements)
+        say(f"no controller found settles within {settling:g} s on all models; trying {longer_s:g} s")
+        requirements = _with_settling(requirements, longer_s)
+    return design_controller(requirements, nominal, others, on_progress), requirements
+
+
+def longer_settling(requirements: DesignFile) -> float:
+    """Return the next limit on the settling time in s, after one that could not be met."""
+    return round(SETTLING_FACTOR * (requirements.specifications.settling_s or 1.0), 3)
+
+
+def _with_settling(requirements: DesignFile, settling_s: float) -> DesignFile:
+    limits = msgspec.structs.replace(requirements.specifications, settling_s=settling_s)
+    return msgspec.structs.replace(requirements, specifications=limits)
+
+
+def missed_readings(design: Design) -> list[Reading]:
+    """Return the specifications that the designed loop does not meet.
+
+    Those of the open loop's shape are the weight's, which meets them: the controller's own loop need not.
+    """
+    return [
+        reading
+        for reading in design.designed_readings
+        if not reading.met and not QUANTITIES[reading.quantity].reads_open_loop_shape
+    ]
 
 
 def verify(
@@ -272,12 +299,12 @@ def verify(
     found = []
     for model in models:
         condition = model.condition
-        path = directory / f"{condition.name}-step.mcap"
+        # Named after the controller, so that a step with an earlier one is not taken for it.
+        path = directory / f"{condition.name}-step-{_digest(controller)}.mcap"
         if not path.exists():
             if job.bus is not None:
-                ask(
-                    f"Condition {condition.name}. {condition.instruction} The new controller will then step {job.axis}."
-                )
+                what = f"Then the new controller will step {job.axis}."
+                ask(f"Condition {condition.name}. {condition.instruction} {what}")
             say(f"{condition.name}: stepping {job.axis} with the new controller")
             _experiment(path, _step_command(job, model, requirements, controller))
         measured = summarise(open_recording(path)).axes[job.axis]
@@ -287,10 +314,15 @@ def verify(
     return found
 
 
-def _default_design() -> DesignFile:
+def default_design() -> DesignFile:
+    """Return the requirements of a tuning without a design file: those of the paper."""
     from design.synthesis.design_file import DesignFile
 
     return DesignFile()
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:8]
 
 
 def _failures(measured: StepResponse, requirements: DesignFile) -> list[str]:
@@ -329,18 +361,18 @@ def _step_command(job: Job, model: Model, requirements: DesignFile, controller: 
     from hil.shells.run_setup import load_rig
 
     axes = load_rig(job.rig).axes
-    size = job.step if job.step is not None else STEP_SHARE[model.plant.output_unit]
+    half = 0.5 * (job.step if job.step is not None else DEFAULT_STEP[model.plant.output_unit])
     settling = requirements.specifications.settling_s or 2.0
-    setpoints = [
-        f"{job.axis}=step:{size!r}@{SETTLE_S!r}",
-        *(f"{name}=hold" for name in axes if name != job.axis),
-    ]
+    low, high = model.condition.centre - half, model.condition.centre + half
+    rest_s = round(SETTLE_S + settling, 3)
+    setpoints = [f"{job.axis}=ladder:{low!r},{high!r}@0/{rest_s!r}"]
+    setpoints += [f"{name}=hold" for name in axes if name != job.axis]
     return [
         "run",
         "--controller",
         f"{job.axis}={controller}",
         "--duration",
-        repr(round(SETTLE_S + 3.0 * settling + 2.0, 3)),
+        repr(round(rest_s + 3.0 * settling + 2.0, 3)),
         *(part for setpoint in setpoints for part in ("--setpoint", setpoint)),
         *_where(job, model.condition),
     ]
