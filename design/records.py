@@ -211,12 +211,13 @@ def _csv(path: Path, columns: tuple[str, str, str], sample_time_s: float | None)
 
 def _mat(path: Path, columns: tuple[str, str, str], sample_time_s: float | None) -> Columns:
     from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
 
     try:
         variables = loadmat(path, squeeze_me=True)
     except NotImplementedError:
         raise DocumentError(f"{path}: a file of MATLAB version 7.3; save it with -v7") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError, LookupError, MatReadError) as error:
         raise DocumentError(f"{path}: not a MATLAB file: {error}") from None
     names = [name for name in variables if not name.startswith("__")]
     places = _places(path, names, columns, sample_time_s)
@@ -281,7 +282,7 @@ def _with_time(path: Path, values: list[Array], sample_time_s: float | None) -> 
         )
     if len(values) == 2:
         assert sample_time_s is not None
-        values = [np.arange(len(values[0])) * sample_time_s, *values]
+        values = [np.arange(len(values[0]), dtype=np.float64) * np.float64(sample_time_s), *values]
     time_s, u, y = values
     return time_s, u, y
 

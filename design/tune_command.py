@@ -108,7 +108,8 @@ def main(argv: list[str]) -> int:
             raise HilError(
                 f"no controller was written: its loop is unstable on the rig; see {written.report}"
             )
-        verified = tuning.verify(job, models, requirements, written.controller, directory, say, ask)
+        controller_file = written.controller
+        verified = tuning.verify(job, models, requirements, controller_file, directory, say, ask)
         failures = [failure for step in verified for failure in step.failures]
         if job.design is not None or not failures or attempt == tuning.MAX_VERIFICATIONS:
             break
@@ -116,13 +117,13 @@ def main(argv: list[str]) -> int:
         say(f"the measured steps miss the specifications ({'; '.join(failures)}); trying {settling_s:g} s")
     requested = None if job.design is not None else tuning.default_design().specifications.settling_s
     result = tuning.Tuning(
-        job, tuple(models), requirements, requested, design, written.controller, tuple(verified)
+        job, tuple(models), requirements, requested, design, controller_file, tuple(verified)
     )
     report = directory / "tuning.html"
     write_tuning_report(result, report)
     print_tuning(console, result)
     console.print(f"report      {report}")
-    console.print(f"controller  {written.controller}")
+    console.print(f"controller  {controller_file}")
     return 0 if result.is_stable_on_all and result.meets_specifications else 1
 
 
