@@ -10,20 +10,22 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 
 from design.errors import DesignError, InfeasibleError
+from design.output.tuning_results import Condition as Condition
+from design.output.tuning_results import Job as Job
+from design.output.tuning_results import Model as Model
+from design.output.tuning_results import Tuning as Tuning
+from design.output.tuning_results import Verified as Verified
 from hil.core.documents import Document, from_toml, to_json
 from hil.core.errors import DocumentError, HilError
 from hil.host.text_file import read_text
 
 if TYPE_CHECKING:
-    from design.identification.identify import Identification
-    from design.models.plant import Plant
     from design.synthesis.design_file import DesignFile
     from design.synthesis.procedure import Design, OnProgress
     from hil.views.summary import StepResponse
@@ -43,18 +45,6 @@ Ask = Callable[[str], None]
 """Asks the user to confirm, and raises HilError without a yes."""
 
 
-class Condition(Document, frozen=True):
-    """One condition under which the axis is identified and verified."""
-
-    name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,40}$")]
-    instruction: str = ""
-    """What to do to the rig before the experiments, for the user of a real one."""
-    events: list[str] = msgspec.field(default_factory=list)
-    """Events on the simulated arm, as ``hil run --event`` takes them."""
-    centre: float = 0.0
-    """Position about which the axis is excited, in its unit."""
-
-
 class Conditions(Document, frozen=True):
     """The file of ``hil tune --conditions``."""
 
@@ -63,7 +53,7 @@ class Conditions(Document, frozen=True):
 
 SIMULATED_CONDITIONS = (
     Condition(name="nominal"),
-    Condition(name="loaded", events=["payload:3@0", "supply:400@0"]),
+    Condition(name="loaded", events=["payload:3@0", "supply-pressure:400@0"]),
 )
 """The paper's load and supply pressure (Fig. 14)."""
 REAL_CONDITIONS = (
@@ -72,74 +62,6 @@ REAL_CONDITIONS = (
         name="repeat", instruction="Change nothing: this experiment shows how well the first one repeats."
     ),
 )
-
-
-class Job(Document, frozen=True):
-    """What is tuned; a results folder belongs to one job (``tune.json``)."""
-
-    axis: str
-    amplitude: float
-    duration_s: float
-    structure: str
-    conditions: list[Condition]
-    rig: str | None = None
-    bus: str | None = None
-    """Bus of the boards; None for lockstep."""
-    design: str | None = None
-    step: float | None = None
-    controller: str | None = None
-
-
-@dataclass(frozen=True)
-class Model:
-    """The model of one condition."""
-
-    condition: Condition
-    plant: Plant
-    identification: Identification
-    plant_file: Path
-
-
-@dataclass(frozen=True)
-class Verified:
-    """A step of the axis with the new controller under one condition."""
-
-    condition: Condition
-    recording: Path
-    measured: StepResponse
-    failures: tuple[str, ...]
-    """Specifications that the measured step does not meet, in words."""
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Everything that a tuning found."""
-
-    job: Job
-    models: tuple[Model, ...]
-    design_file: DesignFile
-    requested_settling_s: float | None
-    design: Design
-    controller_file: Path
-    verified: tuple[Verified, ...]
-    warnings: tuple[str, ...] = field(default=())
-
-    @property
-    def is_guaranteed(self) -> bool:
-        """Whether the margin alone proves that every identified model is stabilised."""
-        return all(guarantee.guaranteed for guarantee in self.design.guarantees)
-
-    @property
-    def is_stable_on_all(self) -> bool:
-        """Whether the controller stabilises every identified model, by direct computation."""
-        return all(guarantee.eps_there > 0.0 for guarantee in self.design.guarantees)
-
-    @property
-    def meets_specifications(self) -> bool:
-        """Whether the design and every measured step meet the specifications."""
-        return all(reading.met for reading in self.design.designed_readings) and not any(
-            verified.failures for verified in self.verified
-        )
 
 
 def read_conditions(path: Path) -> list[Condition]:
