@@ -11,21 +11,22 @@ import hashlib
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 
-from design.closed_loop.specifications import QUANTITIES, Reading
 from design.errors import InfeasibleError
+from design.output.tuning_results import Condition as Condition
+from design.output.tuning_results import Job as Job
+from design.output.tuning_results import Model as Model
+from design.output.tuning_results import Tuning as Tuning
+from design.output.tuning_results import Verified as Verified
 from hil.core.documents import Document, from_toml, to_json
 from hil.core.errors import DocumentError, HilError
 from hil.host.text_file import read_text
 
 if TYPE_CHECKING:
-    from design.identification.identify import Identification
-    from design.models.plant import Plant
     from design.synthesis.design_file import DesignFile
     from design.synthesis.procedure import Design, OnProgress
     from hil.views.summary import StepResponse
@@ -47,18 +48,6 @@ Ask = Callable[[str], None]
 """Asks the user to confirm, and raises HilError without a yes."""
 
 
-class Condition(Document, frozen=True):
-    """One condition under which the axis is identified and verified."""
-
-    name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,40}$")]
-    instruction: str = ""
-    """What to do to the rig before the experiments, for the user of a real one."""
-    events: list[str] = msgspec.field(default_factory=list)
-    """Events on the simulated arm, as ``hil run --event`` takes them."""
-    centre: float = 0.0
-    """Position about which the axis is excited, in its unit."""
-
-
 class Conditions(Document, frozen=True):
     """The file of ``hil tune --conditions``."""
 
@@ -76,72 +65,6 @@ REAL_CONDITIONS = (
         name="repeat", instruction="Change nothing: this experiment shows how well the first one repeats."
     ),
 )
-
-
-class Job(Document, frozen=True):
-    """What is tuned; a results folder belongs to one job (``tune.json``)."""
-
-    axis: str
-    amplitude: float
-    duration_s: float
-    structure: str
-    conditions: list[Condition]
-    rig: str | None = None
-    bus: str | None = None
-    """Bus of the boards; None for lockstep."""
-    design: str | None = None
-    step: float | None = None
-    controller: str | None = None
-
-
-@dataclass(frozen=True)
-class Model:
-    """The model of one condition."""
-
-    condition: Condition
-    plant: Plant
-    identification: Identification
-    plant_file: Path
-
-
-@dataclass(frozen=True)
-class Verified:
-    """A step of the axis with the new controller under one condition."""
-
-    condition: Condition
-    recording: Path
-    measured: StepResponse
-    failures: tuple[str, ...]
-    """Specifications that the measured step does not meet, in words."""
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Everything that a tuning found."""
-
-    job: Job
-    models: tuple[Model, ...]
-    design_file: DesignFile
-    requested_settling_s: float | None
-    design: Design
-    controller_file: Path
-    verified: tuple[Verified, ...]
-    warnings: tuple[str, ...] = field(default=())
-
-    @property
-    def is_guaranteed(self) -> bool:
-        """Whether the margin alone proves that every identified model is stabilised."""
-        return all(guarantee.guaranteed for guarantee in self.design.guarantees)
-
-    @property
-    def is_stable_on_all(self) -> bool:
-        """Whether the controller stabilises every identified model, by direct computation."""
-        return all(guarantee.eps_there > 0.0 for guarantee in self.design.guarantees)
-
-    @property
-    def meets_specifications(self) -> bool:
-        """Whether the design and every measured step meet the specifications."""
-        return not missed_readings(self.design) and not any(verified.failures for verified in self.verified)
 
 
 def read_conditions(path: Path) -> list[Condition]:
@@ -250,7 +173,8 @@ def design(
         settling = requirements.specifications.settling_s
         try:
             found = design_controller(requirements, nominal, others, on_progress)
-            if job.design is not None or settling is None or not missed_readings(found):
+            candidate = Tuning(job, tuple(models), requirements, None, found, Path(), ())
+            if job.design is not None or settling is None or not candidate.missed_predictions:
                 return found, requirements
         except InfeasibleError:
             if job.design is not None or settling is None:
@@ -269,18 +193,6 @@ def longer_settling(requirements: DesignFile) -> float:
 def _with_settling(requirements: DesignFile, settling_s: float) -> DesignFile:
     limits = msgspec.structs.replace(requirements.specifications, settling_s=settling_s)
     return msgspec.structs.replace(requirements, specifications=limits)
-
-
-def missed_readings(design: Design) -> list[Reading]:
-    """Return the specifications that the designed loop does not meet.
-
-    Those of the open loop's shape are the weight's, which meets them: the controller's own loop need not.
-    """
-    return [
-        reading
-        for reading in design.designed_readings
-        if not reading.met and not QUANTITIES[reading.quantity].reads_open_loop_shape
-    ]
 
 
 def verify(
