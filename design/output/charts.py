@@ -1,4 +1,4 @@
-"""Draw line charts as SVG text: axes, ticks, curves, limits, bands and a legend.
+"""Draw line charts as SVG text: axes, ticks, curves, marks, areas, limits, bands and a legend.
 
 This module knows no control engineering. It writes SVG directly because importing a plotting library takes
 longer than a whole design. One SVG document holds panels, one above the other, with one legend. Every panel
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from html import escape
 
 import numpy as np
@@ -25,6 +26,10 @@ CHARACTER = 6.4
 
 _MAX_PIXEL = 1e4
 """Pixels beyond this are clipped: they lie outside every panel, and browsers lose precision there."""
+_MARK = 5.0
+"""Half the width of a cross, and the radius of a circle, in pixels."""
+_TINT = 0.2
+"""Opacity of a filled area."""
 _TEXT, _SOFT_TEXT = "#333", "#66707a"
 _GRID, _MINOR_GRID, _LIMIT_LINE, _FRAME, _BAND = "#e4e7eb", "#f2f4f6", "#9aa3ad", "#8a939c", "#dff0e4"
 
@@ -50,6 +55,44 @@ class Curve:
     """Draw stairs: y[i] from x[i] to x[i + 1]."""
 
 
+class Shape(StrEnum):
+    """How a mark is drawn."""
+
+    DOT = "dot"
+    CROSS = "cross"
+    CIRCLE = "circle"
+    STEM = "stem"
+    """A dot with a vertical line to 0, for values over whole numbers."""
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Single points y over x, both (k,). A point that is not finite is left out."""
+
+    label: str
+    x: Array
+    y: Array
+    style: Style
+    shape: Shape = Shape.DOT
+
+
+@dataclass(frozen=True)
+class Area:
+    """A closed outline through the points x, y, both (k,), which is filled with a light tint."""
+
+    label: str
+    x: Array
+    y: Array
+    style: Style
+
+
+def area_between(label: str, x: Array, low: Array, high: Array, style: Style) -> Area:
+    """Return the area between two curves over x (k,), without the points that are not finite."""
+    known = np.isfinite(low) & np.isfinite(high)
+    x, low, high = x[known], low[known], high[known]
+    return Area(label, np.concatenate([x, x[::-1]]), np.concatenate([low, high[::-1]]), style)
+
+
 @dataclass(frozen=True)
 class Limit:
     """A straight line at ``value`` of the y axis, or of the x axis if ``of_x``, with a label at its end."""
@@ -70,7 +113,10 @@ class Band:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with its curves, limits and bands; ``height`` is in pixels."""
+    """One pair of axes with what is drawn in it; ``height`` is in pixels.
+
+    An end of an axis that is left open is taken from curves, marks and areas.
+    """
 
     x: Axis
     y: Axis
@@ -78,6 +124,13 @@ class Panel:
     limits: tuple[Limit, ...] = ()
     bands: tuple[Band, ...] = ()
     height: int = 230
+    marks: tuple[Marks, ...] = ()
+    areas: tuple[Area, ...] = ()
+
+    @property
+    def drawn(self) -> tuple[Curve | Marks | Area, ...]:
+        """Everything that has x and y, in the order of the legend."""
+        return (*self.curves, *self.marks, *self.areas)
 
 
 def draw(panels: Sequence[Panel], name: str) -> str:
@@ -106,9 +159,9 @@ class _PlacedPanel:
     def __init__(self, panel: Panel, top: float, key: str, has_x_labels: bool) -> None:
         self._panel, self._top, self._key, self._has_x_labels = panel, top, key, has_x_labels
         self._bottom, self._right = top + panel.height, float(LEFT + PANEL_WIDTH)
-        self._x = make_scale(panel.x, (c.x for c in panel.curves), LEFT, PANEL_WIDTH, margin=0.0)
+        self._x = make_scale(panel.x, (d.x for d in panel.drawn), LEFT, PANEL_WIDTH, margin=0.0)
         levels = [np.array([limit.value]) for limit in panel.limits if not limit.of_x]
-        data = (*(c.y for c in panel.curves), *levels)
+        data = (*(d.y for d in panel.drawn), *levels)
         self._y = make_scale(panel.y, data, self._bottom, -panel.height, margin=0.08)
         self._frame = f'x="{LEFT}" y="{top:g}" width="{PANEL_WIDTH}" height="{panel.height}"'
 
@@ -122,7 +175,9 @@ class _PlacedPanel:
             *self._y_grid(),
             f'<g clip-path="url(#{self._key})" fill="none">',
             *(self._band(band) for band in self._panel.bands),
+            *(_area(area, self._x, self._y) for area in self._panel.areas),
             *(self._limit_line(limit) for limit in self._panel.limits),
+            *(_marks(marks, self._x, self._y) for marks in self._panel.marks),
             *(_curve(curve, self._x, self._y) for curve in self._panel.curves),
             "</g>",
             *(self._band_label(band) for band in self._panel.bands),
@@ -215,20 +270,77 @@ def _curve(curve: Curve, x_scale: Scale, y_scale: Scale) -> str:
     )
 
 
+def _area(area: Area, x_scale: Scale, y_scale: Scale) -> str:
+    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in _pixels(area, x_scale, y_scale))
+    return (
+        f'<polygon points="{points}" fill="{area.style.colour}" fill-opacity="{_TINT}" '
+        f'stroke="{area.style.colour}" stroke-width="{area.style.width}" stroke-opacity="0.6"/>'
+    )
+
+
+def _marks(marks: Marks, x_scale: Scale, y_scale: Scale) -> str:
+    zero = float(np.clip(y_scale.pixels(0.0), -_MAX_PIXEL, _MAX_PIXEL)) if not y_scale.logarithmic else 0.0
+    return "".join(_mark(x, y, zero, marks.style, marks.shape) for x, y in _pixels(marks, x_scale, y_scale))
+
+
+def _mark(x: float, y: float, zero: float, style: Style, shape: Shape) -> str:
+    stroke = f' stroke="{style.colour}" stroke-width="{style.width}"'
+    match shape:
+        case Shape.DOT:
+            return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{style.width}" fill="{style.colour}"/>'
+        case Shape.CIRCLE:
+            return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_MARK}" fill="none"{stroke}/>'
+        case Shape.CROSS:
+            a, b = x - _MARK, x + _MARK
+            up, down = y - _MARK, y + _MARK
+            return (
+                f'<line x1="{a:.1f}" y1="{up:.1f}" x2="{b:.1f}" y2="{down:.1f}"{stroke}/>'
+                f'<line x1="{a:.1f}" y1="{down:.1f}" x2="{b:.1f}" y2="{up:.1f}"{stroke}/>'
+            )
+        case Shape.STEM:
+            return (
+                f'<line x1="{x:.1f}" y1="{zero:.1f}" x2="{x:.1f}" y2="{y:.1f}"{stroke}/>'
+                f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.4" fill="{style.colour}"/>'
+            )
+
+
+def _pixels(drawn: Marks | Area, x_scale: Scale, y_scale: Scale) -> list[tuple[float, float]]:
+    """Return the finite points as pixels; those far outside the panel are clipped."""
+    x, y = x_scale.pixels(drawn.x), y_scale.pixels(drawn.y)
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = (np.clip(values[known], -_MAX_PIXEL, _MAX_PIXEL) for values in (x, y))
+    return list(zip(x.tolist(), y.tolist(), strict=True))
+
+
 def _legend(panels: Sequence[Panel]) -> tuple[str, int]:
-    """Draw the label of every curve once, in rows, and return the drawing with its height in pixels."""
-    styles = {curve.label: curve.style for panel in panels for curve in panel.curves if curve.label}
+    """Draw every label once, in rows, and return the drawing with its height in pixels."""
+    labelled = {drawn.label: drawn for panel in panels for drawn in panel.drawn if drawn.label}
     parts, x, row = [], float(LEFT), 0
-    for label, style in styles.items():
+    for label, drawn in labelled.items():
         length = 30 + CHARACTER * len(label) + 14
         if x + length > WIDTH and x > LEFT:
             x, row = float(LEFT), row + 1
         y = TOP + LEGEND_ROW * row + 4
-        more = f'{_dash(style)} stroke-width="{max(style.width, 1.6)}"'
-        parts.append(_line(x, y, x + 24, y, style.colour, more))
+        parts.append(_legend_key(drawn, x, float(y)))
         parts.append(_text(x + 30, y + 4, label, "start"))
         x += length
-    return "\n".join(parts), LEGEND_ROW * (row + 1) if styles else 0
+    return "\n".join(parts), LEGEND_ROW * (row + 1) if labelled else 0
+
+
+def _legend_key(drawn: Curve | Marks | Area, x: float, y: float) -> str:
+    style = drawn.style
+    match drawn:
+        case Marks():
+            return _mark(x + 12, y, y + 6, style, drawn.shape)
+        case Area():
+            return (
+                f'<rect x="{x:.1f}" y="{y - 5:.1f}" width="24" height="10" fill="{style.colour}" '
+                f'fill-opacity="{_TINT}" stroke="{style.colour}" stroke-width="{style.width}"/>'
+            )
+        case Curve():
+            return _line(
+                x, y, x + 24, y, style.colour, f'{_dash(style)} stroke-width="{max(style.width, 1.6)}"'
+            )
 
 
 def _dash(style: Style) -> str:

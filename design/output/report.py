@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +17,7 @@ from design.closed_loop.specifications import ROUNDING, Reading, Specification
 from design.models.measured_record import ModelFit
 from design.output.figures import Figure
 from design.output.mathml import transfer_function_formula
+from design.output.page import render_page
 from design.output.provenance import versions
 from design.paper.printed import is_paper_plant
 from design.robustness.loop_shaping import shaped
@@ -70,15 +70,10 @@ def render(
     claims: Sequence[CheckedClaim] = (),
 ) -> str:
     """Return the report as HTML; ``claims`` are the paper's, for the report of its reproduction."""
-    from jinja2 import Environment
-
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(
-        resources.files("design.output").joinpath("report.html").read_text("utf-8")
-    )
     problem = design.problem
     G, dead_time_s = design.plant.rational_part, design.plant.dead_time_s
-    return template.render(
+    return render_page(
+        "report.html",
         title=title,
         design=design,
         is_paper=is_paper_plant(design.plant),

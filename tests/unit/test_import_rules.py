@@ -69,6 +69,7 @@ MAY_IMPORT = {
         "design.robustness",
         "design.closed_loop",
         "design.synthesis",
+        "design.identification",
         "design.paper",
     },
     "firmware_sim.boards": set(),
@@ -81,7 +82,14 @@ Modules that lie directly in a package, such as ``design.cli``, are the outermos
 folder.
 """
 
-FROM_HIL_FOR_DESIGN = ("hil.core", "hil.recording", "hil.host.text_file", "hil.host.command_parser")
+FROM_HIL_FOR_DESIGN = (
+    "hil.core",
+    "hil.recording",
+    "hil.host.text_file",
+    "hil.host.command_parser",
+    "hil.views.summary",
+    "hil.shells.run_setup",
+)
 FROM_HIL_FOR_FIRMWARE = {
     "hil.core.documents",
     "hil.core.errors",

@@ -1,0 +1,358 @@
+"""Draw the figures of the identification report as SVG text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from design.errors import DesignError
+from design.identification.analysis.comparison import Comparison
+from design.identification.analysis.frequency_response import FrequencyResponse
+from design.identification.analysis.residuals import Correlation, ResidualAnalysis
+from design.identification.analysis.uncertainty import Properties, Root, response_band
+from design.identification.identify import Identification
+from design.mathematics.polynomials import Array, ComplexArray
+from design.output.charts import (
+    PANEL_WIDTH,
+    Area,
+    Curve,
+    Limit,
+    Marks,
+    Panel,
+    Shape,
+    Style,
+    area_between,
+    draw,
+)
+from design.output.figures import Figure
+from design.output.scales import Axis
+
+MAX_POINTS = 3000
+"""Largest number of points of a curve; a longer record is drawn by the extremes of its parts."""
+MAX_RECORDS = 4
+"""Largest number of validation records that are drawn."""
+_SIGMAS = 1.959964
+"""Half the width of a 95 % interval, in standard deviations."""
+_MAX_DEPTH_DB = 100.0
+"""Height of the magnitude panel at most."""
+_MIN_COHERENCE = 0.5
+"""Points with a smaller coherence are drawn pale."""
+_MAX_POLE_RATIO = 3.0
+"""The pole-zero map reaches at most so many times as far as the fastest pole."""
+
+# Okabe and Ito's colours, which colour-blind readers can distinguish.
+_MODEL, _OTHER, _AREA = "#0072b2", "#d55e00", "#0072b2"
+_MEASURED = Style("#9aa3ad", "", 3.2)
+_SIMULATED = Style(_MODEL, "", 1.3)
+_INPUT = Style("#1b1f23", "", 0.9)
+_ESTIMATE, _PALE_ESTIMATE = Style(_OTHER, "", 2.2), Style("#e8b592", "", 1.6)
+_BOUND = Style("#7d8790", "", 0.6)
+_TIME, _FREQUENCY = "time, s", "frequency, rad/s"
+
+
+def identification_figures(identification: Identification, unit: str) -> list[Figure]:
+    """Draw all figures of the report: outputs, Bode diagram, residuals, pole-zero map."""
+    return [
+        *output_figures(identification.validation, unit),
+        bode_figure(identification, unit),
+        *residual_figures(identification.residuals),
+        pole_zero_figure(identification.properties),
+    ]
+
+
+def output_figures(validation: Sequence[Comparison], unit: str) -> list[Figure]:
+    """Draw measured and simulated output of each validation record, with the input below."""
+    shown = validation[:MAX_RECORDS]
+    figures = []
+    for number, comparison in enumerate(shown):
+        several = f" {number + 1}" if len(validation) > 1 else ""
+        figures.append(_output_figure(comparison, unit, f"validation{several}"))
+    return figures
+
+
+def _output_figure(comparison: Comparison, unit: str, key: str) -> Figure:
+    experiment = comparison.experiment
+    time_s = experiment.time_s
+    measured = np.where(experiment.observed, experiment.y, np.nan)
+    x = Axis(_TIME, low=0.0, high=float(time_s[-1]))
+    output = Panel(
+        x,
+        Axis(f"output, {unit}"),
+        (
+            Curve("measured", *_thinned(time_s, measured), _MEASURED),
+            Curve("simulated", *_thinned(time_s, comparison.simulated), _SIMULATED),
+        ),
+        height=260,
+    )
+    drive = Panel(
+        x,
+        Axis(f"input, {experiment.names.u_unit}"),
+        (Curve("", *_thinned(time_s, experiment.u), _INPUT, holds=True),),
+        height=90,
+    )
+    left_out = int(np.count_nonzero(~experiment.observed))
+    gaps = f" {left_out} of {len(experiment)} samples do not count, and are left out." if left_out else ""
+    return Figure(
+        key.replace(" ", "-"),
+        f"Measured and simulated output: {experiment.name}",
+        "Data that were not fitted. The simulation knows the measured input alone, besides an initial state "
+        f"and an offset that are fitted to the record. Fit: {_percent(comparison.fit_percent)}.{gaps}",
+        draw([output, drive], key),
+    )
+
+
+def bode_figure(identification: Identification, unit: str) -> Figure:
+    """Draw the model with its 95 % band over the response that was measured without a model."""
+    nyquist_rad_s = float(np.pi / identification.discrete.sample_time_s)
+    measured: FrequencyResponse | None = None
+    try:
+        measured = identification.frequency_response()
+    except DesignError as reason:
+        note = f" No response could be measured without a model: {reason}."
+    else:
+        note = (
+            f" Points: the response measured without a model ({measured.method}); pale where less than half "
+            "of the output comes from the input, so that the point means little."
+        )
+    omega = np.geomspace(_lowest_frequency(identification, measured), 0.98 * nyquist_rad_s, 300)
+    band = response_band(identification.estimate, omega)
+    x = Axis(_FREQUENCY, logarithmic=True, low=float(omega[0]), high=nyquist_rad_s)
+    magnitude_db = _db(np.abs(band.response))
+    reach = _SIGMAS * band.magnitude_std
+    phase_deg = np.degrees(np.unwrap(np.angle(band.response)))
+    phase_reach = np.degrees(np.minimum(_SIGMAS * band.phase_std_rad, np.pi))
+    style = Style(_AREA, "", 0.5)
+    panels = [
+        Panel(
+            x,
+            _magnitude_axis(magnitude_db, unit),
+            (Curve("model", omega, magnitude_db, _SIMULATED),),
+            marks=_points(measured, lambda m: _db(np.abs(m.response))),
+            areas=(
+                area_between(
+                    "95 % of the model",
+                    omega,
+                    magnitude_db + _db(np.maximum(1.0 - reach, 1e-3)),
+                    magnitude_db + _db(1.0 + reach),
+                    style,
+                ),
+            ),
+            height=210,
+        ),
+        Panel(
+            x,
+            Axis("phase, °", low=min(-180.0, float(phase_deg.min()) - 30.0), tick=90.0),
+            (Curve("model", omega, phase_deg, _SIMULATED),),
+            marks=_points(measured, lambda m: _phase_near(m, omega, band.response)),
+            areas=(
+                area_between(
+                    "95 % of the model", omega, phase_deg - phase_reach, phase_deg + phase_reach, style
+                ),
+            ),
+            height=150,
+        ),
+    ]
+    if measured is not None:
+        coherence = Curve("coherence", measured.omega_rad_s, measured.coherence, Style("#3d4450", "4 2", 1.2))
+        panels.append(Panel(x, Axis("coherence", low=0.0, high=1.05), (coherence,), height=80))
+    return Figure(
+        "bode",
+        "Bode diagram from the held input to the sampled output",
+        f"Line: the model, with the interval that contains the plant with a probability of 95 % at each "
+        f"frequency if the structure is right.{note}",
+        draw(panels, "bode"),
+    )
+
+
+def residual_figures(residuals: ResidualAnalysis) -> list[Figure]:
+    """Draw the correlation of the residuals with themselves and with the input, with their bounds."""
+    level = f"{100.0 * residuals.whiteness.level:g} %"
+    before, after = residuals.to_input, residuals.from_input
+    lags, values, bounds = (
+        np.concatenate([getattr(before, key)[:0:-1], getattr(after, key)])
+        for key in ("lags", "values", "bounds")
+    )
+    return [
+        _correlation_figure(
+            "whiteness",
+            "Residuals: correlation with their own past",
+            f"{_whiteness_text(residuals.whiteness)} Shaded: the {level} interval of white noise.",
+            residuals.whiteness.lags,
+            residuals.whiteness.values,
+            residuals.whiteness.bounds,
+            level,
+        ),
+        _correlation_figure(
+            "cross-correlation",
+            "Residuals: correlation with the input",
+            f"{_dynamics_text(after)} {_feedback_text(before)} Positive lags: the input comes first. Shaded: "
+            f"the {level} interval of independent signals.",
+            lags,
+            values,
+            bounds,
+            level,
+        ),
+    ]
+
+
+def pole_zero_figure(known: Properties) -> Figure:
+    """Draw poles and zeros in the s plane with their 95 % regions, at one scale on both axes."""
+    zeros = known.zeros or ()
+    reach = 1.25 * max([abs(pole.value) for pole in known.poles] or [1.0]) or 1.0
+    farthest = _MAX_POLE_RATIO * reach
+    inside = [zero for zero in zeros if abs(zero.value) <= farthest]
+    outside = [zero for zero in zeros if abs(zero.value) > farthest]
+    points = np.array([root.value for root in (*known.poles, *inside)] or [0j])
+    x_low, x_high = min(float(points.real.min()), 0.0), max(float(points.real.max()), 0.0)
+    y_high = max(float(np.abs(points.imag).max()), 0.25 * (x_high - x_low), 1e-6)
+    x_low, x_high = x_low - 0.15 * max(x_high - x_low, y_high), x_high + 0.15 * max(x_high - x_low, y_high)
+    y_high *= 1.2
+    height = int(np.clip(2.0 * y_high / (x_high - x_low) * PANEL_WIDTH, 200, 420))
+    # One scale on both axes: the shorter side is widened.
+    wanted = 2.0 * y_high * PANEL_WIDTH / height
+    spare = max(0.0, wanted - (x_high - x_low))
+    x_low, x_high = x_low - 0.5 * spare, x_high + 0.5 * spare
+    y_high = max(y_high, 0.5 * (x_high - x_low) * height / PANEL_WIDTH)
+    regions = [
+        *((root, "95 % region of a pole", Style(_MODEL, "", 1.4)) for root in known.poles),
+        *((root, "95 % region of a zero", Style(_OTHER, "", 1.4)) for root in inside),
+    ]
+    areas = tuple(_region(root, label, style) for root, label, style in regions)
+    panel = Panel(
+        Axis("real part, rad/s", low=x_low, high=x_high),
+        Axis("imaginary part, rad/s", low=-y_high, high=y_high),
+        (),
+        (Limit(0.0, "", of_x=True), Limit(0.0, "")),
+        height=height,
+        marks=(
+            _root_marks("pole", known.poles, _MODEL, Shape.CROSS),
+            *([_root_marks("zero", inside, _OTHER, Shape.CIRCLE)] if inside else []),
+        ),
+        areas=areas,
+    )
+    far = ", ".join(_root_text(zero.value) for zero in outside)
+    note = f" Outside the figure: the zeros {far} rad/s." if outside else ""
+    if known.zeros is None:
+        note = " The sampled model has no continuous counterpart, so the zeros in s are not known."
+    return Figure(
+        "pole-zero-map",
+        "Poles and zeros of the continuous model, with 95 % confidence regions",
+        "The region of a real root is a line. If a region reaches the imaginary axis, the record does not "
+        f"prove that the plant is stable.{note}",
+        draw([panel], "pole-zero map"),
+    )
+
+
+def _region(root: Root, label: str, style: Style) -> Area:
+    ellipse = root.ellipse()
+    return Area(label, ellipse.real.copy(), ellipse.imag.copy(), style)
+
+
+def _root_marks(label: str, roots: Sequence[Root], colour: str, shape: Shape) -> Marks:
+    values = np.array([root.value for root in roots], dtype=np.complex128)
+    return Marks(label, values.real.copy(), values.imag.copy(), Style(colour, "", 2.0), shape)
+
+
+def _root_text(value: complex) -> str:
+    imaginary = "" if abs(value.imag) < 1e-9 * max(abs(value), 1e-300) else f" {value.imag:+.3g}j"
+    return f"{value.real:.3g}{imaginary}".replace("-", "−")
+
+
+def _correlation_figure(
+    key: str, title: str, caption: str, lags: Array, values: Array, bounds: Array, level: str
+) -> Figure:
+    margin = 0.6
+    high = float(np.nanmax(np.abs(np.concatenate([values, bounds])), initial=0.05)) * 1.15
+    panel = Panel(
+        Axis("lag, samples", low=float(lags[0]) - margin, high=float(lags[-1]) + margin),
+        Axis("correlation", low=-high, high=high),
+        (),
+        (Limit(0.0, ""),),
+        marks=(Marks("", lags, values, Style(_MODEL, "", 1.3), Shape.STEM),),
+        areas=(area_between(f"{level} bounds", lags, -bounds, bounds, _BOUND),),
+        height=210,
+    )
+    return Figure(key, title, caption, draw([panel], key))
+
+
+def _whiteness_text(correlation: Correlation) -> str:
+    if correlation.passed:
+        return "The residuals are white: the noise has no structure that the model misses."
+    return (
+        "The residuals are not white. An output-error model does not describe the noise, so this alone does "
+        "not speak against the plant; its intervals allow for it."
+    )
+
+
+def _dynamics_text(correlation: Correlation) -> str:
+    if correlation.passed:
+        return "No correlation with earlier inputs: the dynamics are complete."
+    return "A correlation with earlier inputs: the model lacks dynamics that the record shows."
+
+
+def _feedback_text(correlation: Correlation) -> str:
+    if correlation.passed:
+        return "None with later inputs: no sign of feedback."
+    return "A correlation with later inputs: the output acted on the input, as in a closed loop."
+
+
+def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return a curve with at most MAX_POINTS points that keeps the extremes of each part and its gaps."""
+    if len(x) <= MAX_POINTS:
+        return x, y
+    size = -(-2 * len(x) // MAX_POINTS)
+    parts = len(x) // size
+    blocks = y[: parts * size].reshape(parts, size)
+    known = np.isfinite(blocks)
+    ends = [
+        np.argmin(np.where(known, blocks, np.inf), axis=1),
+        np.argmax(np.where(known, blocks, -np.inf), axis=1),
+    ]
+    places = (np.sort(np.stack(ends, axis=1), axis=1) + size * np.arange(parts)[:, None]).ravel()
+    return x[places], y[places]
+
+
+def _lowest_frequency(identification: Identification, measured: FrequencyResponse | None) -> float:
+    if measured is not None:
+        return float(measured.omega_rad_s[0])
+    samples = max(map(len, identification.estimate.experiments))
+    return float(2.0 * np.pi / (samples * identification.discrete.sample_time_s))
+
+
+def _points(
+    measured: FrequencyResponse | None, values: Callable[[FrequencyResponse], Array]
+) -> tuple[Marks, ...]:
+    """Return the points measured without a model, the doubtful ones apart."""
+    if measured is None:
+        return ()
+    y = values(measured)
+    good = measured.coherence >= _MIN_COHERENCE
+    sides = (
+        (~good, "measured, coherence under 0.5", _PALE_ESTIMATE),
+        (good, "measured without a model", _ESTIMATE),
+    )
+    return tuple(
+        Marks(label, measured.omega_rad_s[side], y[side], style) for side, label, style in sides if side.any()
+    )
+
+
+def _phase_near(measured: FrequencyResponse, omega: Array, response: ComplexArray) -> Array:
+    """Return the measured phase in degrees, within 180° of the model's."""
+    phase = np.interp(np.log(measured.omega_rad_s), np.log(omega), np.unwrap(np.angle(response)))
+    return np.asarray(np.degrees(phase + np.angle(measured.response * np.exp(-1j * phase))))
+
+
+def _magnitude_axis(magnitude_db: Array, unit: str) -> Axis:
+    high = float(magnitude_db.max())
+    low = max(float(magnitude_db.min()), high - _MAX_DEPTH_DB)
+    return Axis(f"magnitude, dB ({unit}/V)", low=low - 8.0, high=high + 8.0, tick=20.0)
+
+
+def _db(magnitude: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.asarray(20.0 * np.log10(magnitude))
+
+
+def _percent(value: float) -> str:
+    return f"{value:.2f} %" if np.isfinite(value) else "none, the model is unstable"
