@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import control
 import msgspec
@@ -16,7 +14,7 @@ from support.designs import sampled_design
 from support.paper_loop import G0, PERIOD_S
 
 from design.errors import DesignError
-from design.models.plant import Plant, paper_plant, read_plant
+from design.models.plant import Plant, paper_plant
 from design.models.sampling import Sampling
 from design.output.controller_files import controller_files
 from design.python_control import controller_to_control, plant_from_control, plant_to_control
@@ -202,15 +200,3 @@ def test_a_design_imports_neither_python_control_nor_scipy(tmp_path: Path) -> No
         "sys.exit(status)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=True, capture_output=True)
-
-
-def test_the_example_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    readme = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
-    (example,) = (block for block in re.findall(r"```python\n(.*?)```", readme, re.S) if "control" in block)
-    (tmp_path / "designs" / "paper").mkdir(parents=True)
-    (tmp_path / "designs" / "paper" / "controller.json").write_text(FILES["controller"])
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    exec(example, names)
-    assert np.abs(names["loop"].poles()).max() < 1.0
-    assert read_plant((tmp_path / "plant.json").read_text(), "plant.json").num == [0.3]
