@@ -303,4 +303,7 @@ def _experiment(path: Path, command: list[str]) -> None:
     if done.returncode != 0:
         said = (done.stderr or done.stdout).strip()
         raise HilError(f"`hil {' '.join(command)}` failed with exit status {done.returncode}:\n{said}")
+    plot = partial.with_suffix(".png")
+    if plot.exists():
+        plot.rename(path.with_suffix(".png"))
     partial.rename(path)
