@@ -181,6 +181,10 @@ class AxisLoops:
             axis.signals = axis.signals._replace(command_v=centre_v)
         return self._valves.frame()
 
+    def command_refused(self, frame: Frame) -> None:
+        """Take back a command that the bus refused: the rate limits start from the last one that it took."""
+        self._valves.refused(frame)
+
     def _elapsed_s(self, now_ns: int) -> float:
         """Return the time since the last controlled sample; one period before the second one."""
         if self._last_command_ns is None:

@@ -166,6 +166,13 @@ class Gateway:
             self._throttle.reset()
         return changed
 
+    def command_refused(self, frame: Frame) -> None:
+        """Take the shell's report that the bus did not take this valve command, before any other call.
+
+        The rate limits of the next command start from the last command that the bus took.
+        """
+        self._loops.command_refused(frame)
+
     def link_failed(self, reason: str) -> Output:
         """Take the shell's report that the bus cannot be used any more."""
         return self._state.fault("link", reason)
