@@ -349,7 +349,7 @@ def test_after_refusals_a_valve_steps_by_the_rate_of_one_period(slow_valve_bench
     assert refused(recording) == 4
     steps_v = [after[0] - before[0] for before, after in pairwise(commands(recording))]
     assert steps_v[28:34] == pytest.approx([0.28] * 6, abs=VOLTS_PER_COUNT)
-    assert max(map(abs, steps_v[:100])) <= 0.28 + VOLTS_PER_COUNT
+    assert max(map(abs, steps_v[:60])) <= 0.28 + VOLTS_PER_COUNT
     assert verify(recording).frames_compared == bench.link.sent
 
 
