@@ -15,7 +15,7 @@ from support.gateway_bench import commands_v, rig_text
 import hil
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
-from hil.core.rig import MAX_WIRE_V, VOLTS_PER_COUNT, Valve, read_rig
+from hil.core.rig import MAX_RATE_V_S, MAX_WIRE_V, VOLTS_PER_COUNT, Valve, read_rig
 from hil.core.valve_commands import ValveCommands
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
@@ -248,7 +248,7 @@ def any_valves() -> st.SearchStrategy[Valve]:
 def test_the_rig_file_accepts_exactly_the_allowed_limits(limits: Valve) -> None:
     keys = {f"axes.vertical.valve.{key}": repr(getattr(limits, key)) for key in Valve.__struct_fields__}
     text = rig_text(keys, axes=("vertical",))
-    if is_allowed(limits):
+    if is_allowed(limits) and limits.max_rate_v_s <= MAX_RATE_V_S:
         assert read_rig(text, "rig.toml").axes["vertical"].valve == limits
     else:
         with pytest.raises(DocumentError, match=r"axes\.vertical\.valve"):
