@@ -133,8 +133,9 @@ class TestStandstill:
         violation = stands_still(envelope(), offset_v, 0.3 + TINY)
         assert violation == (
             "the position stands still at 0 m for 0.3 s, limit 0.3 s "
-            f"(rig: axes.vertical.envelope.max_still_s), with the valve {offset_v:+.2f} V from its centre, far open from 3 V on "
-            "(rig: axes.vertical.envelope.far_open_v): check the potentiometer, the valve and the supply"
+            f"(rig: axes.vertical.envelope.max_still_s), with the valve {offset_v:+.2f} V from its centre, "
+            "far open from 3 V on (rig: axes.vertical.envelope.far_open_v): check the "
+            "potentiometer, the valve and the supply"
         )
 
     @pytest.mark.parametrize(
