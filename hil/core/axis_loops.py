@@ -50,11 +50,6 @@ class AxisLoop:
         """Phase of the experiment in which this axis is excited."""
         return Phase.NONE
 
-    @property
-    def follows_setpoint(self) -> bool:
-        """True if the tracking error of the present period means something."""
-        return True
-
     def first_setpoint(self, y: float) -> float:
         """Return the setpoint with which control begins at position ``y``."""
         return self.setpoint(0.0)
@@ -107,11 +102,6 @@ class ExcitedAxis(AxisLoop):
         """Phase of the experiment."""
         return self.excited.phase
 
-    @property
-    def follows_setpoint(self) -> bool:
-        """False while the excitation moves the valve, not the setpoint."""
-        return self.excited.follows_setpoint
-
     def first_setpoint(self, y: float) -> float:
         """Return the position ``y``, from which the experiment approaches its centre."""
         return y
@@ -122,7 +112,9 @@ class ExcitedAxis(AxisLoop):
 
     def output(self, t: float, y: float) -> tuple[float, float]:
         """Return setpoint r, and valve voltage u relative to the valve's centre, for the sample ``y``."""
-        return self.excited.output(t, y)
+        signals = self.excited.output(t, y)
+        self.envelope.follows_setpoint = self.excited.follows_setpoint
+        return signals
 
     def advance(self, u_applied: float) -> None:
         """Take the voltage that the limits let through, relative to the valve's centre."""
@@ -205,7 +197,7 @@ class AxisLoops:
             limited_u = self._valves.command(index, u)
             axis.advance(limited_u)
             axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured_v, axis.phase)
-            violation = axis.envelope.check(t, y, r - y if axis.follows_setpoint else 0.0, limited_u)
+            violation = axis.envelope.check(t, y, r - y, limited_u)
             if violation is not None and failure is None:
                 failure = LoopFailure(axis.name, violation)
         return failure

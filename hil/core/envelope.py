@@ -32,6 +32,7 @@ class Envelope:
         "_still_from_s",
         "_still_y",
         "_unit",
+        "follows_setpoint",
     )
 
     def __init__(self, limits: Limits, axis: str, unit: str) -> None:
@@ -49,6 +50,8 @@ class Envelope:
         self._still_from_s: float | None = None
         """Time of the first sample in a row with the valve far open and the position at ``_still_y``."""
         self._still_y = 0.0
+        self.follows_setpoint = True
+        """False while an experiment moves the valve, so that there is no tracking error."""
 
     def begin(self) -> None:
         """Forget all earlier samples, because control begins."""
@@ -58,8 +61,8 @@ class Envelope:
     def check(self, t: float, y: float, error: float, offset_v: float) -> str | None:
         """Return what the sample ``y`` at time ``t`` violates, or None.
 
-        ``error`` is the tracking error; 0 for an axis that follows no setpoint. ``offset_v`` is the valve's
-        command about its centre, after the limits.
+        ``error`` is the tracking error. ``offset_v`` is the valve's command about its centre, after the
+        limits.
         """
         if not self._min_y <= y <= self._max_y:
             return self._beyond(y)
@@ -68,7 +71,7 @@ class Envelope:
         before_s, before_y = recent[0]
         if abs(y - before_y) > self._max_speed * (t - before_s) and len(recent) > SPEED_PERIODS:
             return self._too_fast(abs(y - before_y), t - before_s)
-        if -self._max_error <= error <= self._max_error:
+        if -self._max_error <= error <= self._max_error or not self.follows_setpoint:
             self._error_since_s = None
         elif self._error_since_s is None:
             self._error_since_s = t
