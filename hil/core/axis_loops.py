@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from hil.core.control_law import ControlLaw
+from hil.core.envelope import Envelope
 from hil.core.excitation import samples
 from hil.core.excited_loop import ExcitedLoop, Fence
 from hil.core.experiment import Experiment
@@ -22,10 +24,17 @@ from hil.core.setpoints import HOLD, Setpoint
 from hil.core.valve_commands import ValveCommands
 
 
-class AxisLoop:
-    """Setpoint, control law, scaling and last signals of one axis."""
+class LoopFailure(NamedTuple):
+    """Reason why an axis must not go on, which is a fault."""
 
-    __slots__ = ("law", "name", "position", "setpoint", "signals")
+    axis: str
+    reason: str
+
+
+class AxisLoop:
+    """Setpoint, control law, envelope, scaling and last signals of one axis."""
+
+    __slots__ = ("envelope", "law", "name", "position", "setpoint", "signals")
 
     def __init__(self, rig: Rig, name: str, law: ControlLaw, setpoint: Setpoint) -> None:
         axis = rig.axes[name]
@@ -33,12 +42,17 @@ class AxisLoop:
         self.law = law
         self.setpoint = setpoint.at
         self.position = axis.potentiometer.position
+        self.envelope = Envelope(axis.limits, name, axis.unit)
         self.signals = AxisSignals(math.nan, math.nan, math.nan, 0.0, axis.valve.centre_v, math.nan)
 
     @property
     def phase(self) -> Phase:
         """Phase of the experiment in which this axis is excited."""
         return Phase.NONE
+
+    def first_setpoint(self, y: float) -> float:
+        """Return the setpoint with which control begins at position ``y``."""
+        return self.setpoint(0.0)
 
     def begin(self, t: float, y: float) -> None:
         """Take over without a bump, at position ``y`` and time ``t``, with the valve at its centre."""
@@ -58,6 +72,10 @@ class HoldingLoop(AxisLoop):
     """An axis whose setpoint is the position at which it was when control began."""
 
     __slots__ = ()
+
+    def first_setpoint(self, y: float) -> float:
+        """Return the position ``y``."""
+        return y
 
     def begin(self, t: float, y: float) -> None:
         """Take over without a bump, and keep the position ``y``."""
@@ -84,13 +102,19 @@ class ExcitedAxis(AxisLoop):
         """Phase of the experiment."""
         return self.excited.phase
 
+    def first_setpoint(self, y: float) -> float:
+        """Return the position ``y``, from which the experiment approaches its centre."""
+        return y
+
     def begin(self, t: float, y: float) -> None:
         """Begin the experiment at position ``y``."""
         self.excited.begin(t, y)
 
     def output(self, t: float, y: float) -> tuple[float, float]:
         """Return setpoint r, and valve voltage u relative to the valve's centre, for the sample ``y``."""
-        return self.excited.output(t, y)
+        signals = self.excited.output(t, y)
+        self.envelope.follows_setpoint = self.excited.follows_setpoint
+        return signals
 
     def advance(self, u_applied: float) -> None:
         """Take the voltage that the limits let through, relative to the valve's centre."""
@@ -136,15 +160,25 @@ class AxisLoops:
         """Begin at t = 0 with the next controlled period. Every control law then starts without a bump."""
         self._start_ns = self._last_command_ns = None
 
-    def control(self, volts: Sequence[float], deadline_ns: int, now_ns: int) -> AxisLoop | None:
-        """Run every control law on its sample, and limit its output.
+    def start_refusals(self) -> list[LoopFailure]:
+        """Return why control must not begin, axis by axis: positions and first setpoints that do not fit."""
+        found = (
+            (axis, axis.envelope.refusal(axis.first_setpoint(y), y))
+            for axis in self._axes
+            for y in (axis.signals.position,)
+        )
+        return [LoopFailure(axis.name, reason) for axis, reason in found if reason is not None]
+
+    def control(self, volts: Sequence[float], deadline_ns: int, now_ns: int) -> LoopFailure | None:
+        """Run every control law on its sample, limit its output, and check the axis' envelope.
 
         ``volts`` are the potentiometer voltages, received at ``now_ns`` in the period of ``deadline_ns``. The
         setpoints are evaluated at the time from the first controlled period to this one.
 
-        Returns None, or the first axis whose control law gave an output that is not finite. No command but
-        the one that centres the valves may then leave.
+        Returns None, or the first failure: an output that is not finite, or a violated envelope. No command
+        but the one that centres the valves may then leave.
         """
+        failure: LoopFailure | None = None
         is_first = self._start_ns is None
         if self._start_ns is None:
             self._start_ns = deadline_ns
@@ -154,15 +188,19 @@ class AxisLoops:
         for index, (axis, measured_v) in enumerate(zip(self._axes, volts, strict=True)):
             y = axis.position(measured_v)
             if is_first:
+                axis.envelope.begin()
                 axis.begin(t, y)
             r, u = axis.output(t, y)
-            is_finite = math.isfinite(u)
-            if is_finite:
-                axis.advance(self._valves.command(index, u))
+            if not math.isfinite(u):
+                axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured_v, axis.phase)
+                return LoopFailure(axis.name, f"control law gave {u} V at setpoint {r:g}, position {y:g}")
+            limited_u = self._valves.command(index, u)
+            axis.advance(limited_u)
             axis.signals = AxisSignals(r, y, r - y, u, self._valves.volts[index], measured_v, axis.phase)
-            if not is_finite:
-                return axis
-        return None
+            violation = axis.envelope.check(t, y, r - y, limited_u)
+            if violation is not None and failure is None:
+                failure = LoopFailure(axis.name, violation)
+        return failure
 
     def observe(self, volts: Sequence[float]) -> None:
         """Read a sample without control: each axis' setpoint follows its position."""
@@ -180,6 +218,10 @@ class AxisLoops:
         for axis, centre_v in zip(self._axes, self._valves.volts, strict=True):
             axis.signals = axis.signals._replace(command_v=centre_v)
         return self._valves.frame()
+
+    def command_refused(self, frame: Frame) -> None:
+        """Take back a command that the bus refused: the rate limits start from the last one that it took."""
+        self._valves.refused(frame)
 
     def _elapsed_s(self, now_ns: int) -> float:
         """Return the time since the last controlled sample; one period before the second one."""

@@ -64,6 +64,11 @@ class ExcitedLoop:
         """True when the excitation has been given and the axis is back in its centre."""
         return self.phase is Phase.DONE
 
+    @property
+    def follows_setpoint(self) -> bool:
+        """False while the excitation is added to the valve's command: then there is no tracking error."""
+        return self.phase is not Phase.EXCITED or self._experiment.mode == "setpoint"
+
     def describe(self) -> str:
         """Return the present phase in words."""
         axis, low, high = self._experiment.axis, self._fence.min_y, self._fence.max_y

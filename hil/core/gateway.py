@@ -17,7 +17,7 @@ board that applies commands at SYNC does not hold the old command for one more p
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from hil.core.axis_loops import AxisLoops
 from hil.core.board_supervision import BoardSupervision
@@ -82,6 +82,8 @@ class Gateway:
         """Whether a good sample has arrived in the present period. True before the first period."""
         self._stale_periods = 0
         self._reported_phase = Phase.NONE
+        self._disabled_checks = tuple(_disabled_checks(rig))
+        """Warnings of every start."""
 
     @property
     def state(self) -> LifeCycleState:
@@ -155,20 +157,39 @@ class Gateway:
         """Take an operator's trigger (arm, start, stop, disarm, reset), or refuse it in the present state."""
         if trigger not in OPERATOR_TRIGGERS or not self._state.allows(trigger):
             return self._state.refuse(trigger, self._boards.describe())
-        changed = self._state.enter(trigger)
         if trigger is Trigger.START:
-            self._loops.restart()
-        elif trigger is Trigger.STOP:
+            return self._start()
+        changed = self._state.enter(trigger)
+        if trigger is Trigger.STOP:
             return combine(changed, self._centre())
-        elif trigger is Trigger.RESET:
+        if trigger is Trigger.RESET:
             self._guard.restart()
             self._rejections.forget_reason()
             self._throttle.reset()
         return changed
 
+    def command_refused(self, frame: Frame) -> None:
+        """Take the shell's report that the bus did not take this valve command, before any other call.
+
+        The rate limits of the next command start from the last command that the bus took.
+        """
+        self._loops.command_refused(frame)
+
     def link_failed(self, reason: str) -> Output:
         """Take the shell's report that the bus cannot be used any more."""
         return self._state.fault("link", reason)
+
+    def _start(self) -> Output:
+        """Begin to control, or refuse because a position or a first setpoint is outside the envelope."""
+        refusals = self._loops.start_refusals()
+        if refusals:
+            return Output(
+                log=tuple(
+                    LogEntry(Severity.WARNING, axis, f"start refused: {reason}") for axis, reason in refusals
+                )
+            )
+        self._loops.restart()
+        return combine(self._state.enter(Trigger.START), Output(log=self._disabled_checks))
 
     # The end of a period and the beginning of the next
 
@@ -269,8 +290,7 @@ class Gateway:
         if failed is None:
             commands = Output((self._loops.command(),), cycle=self._cycle(now_ns, True))
             return commands if self.experiment is None else combine(commands, self._report_phase())
-        r, y, u = failed.signals.setpoint, failed.signals.position, failed.signals.output_v
-        fault = self._state.fault(failed.name, f"control law gave {u} V at setpoint {r:g}, position {y:g}")
+        fault = self._state.fault(failed.axis, failed.reason)
         return combine(fault, Output(cycle=self._cycle(now_ns, True)))
 
     def _report_phase(self) -> Output:
@@ -315,3 +335,20 @@ class Gateway:
                 return Output(log=(LogEntry(Severity.WARNING, "bus", text),))
             case None:
                 return NOTHING
+
+
+def _disabled_checks(rig: Rig) -> Iterator[LogEntry]:
+    """Yield a warning for each axis with checks that are disabled or cannot act."""
+    for name, axis in rig.axes.items():
+        if axis.envelope.disabled:
+            keys = ", ".join(axis.envelope.disabled)
+            text = f"not protected by {keys} (rig: axes.{name}.envelope.disabled)"
+            yield LogEntry(Severity.WARNING, name, text)
+        opening_v, far_open_v = axis.range.valve_v, axis.limits.far_open_v
+        if opening_v < far_open_v and "max_still_s" not in axis.envelope.disabled:
+            text = (
+                f"not protected by max_still_s, because the valve opens by {opening_v:g} V (rig: "
+                f"axes.{name}.valve) and is far open from {far_open_v:g} V on; give "
+                f"axes.{name}.envelope.far_open_v"
+            )
+            yield LogEntry(Severity.WARNING, name, text)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from hil.core.documents import Document, from_plain, parse_toml
+from hil.core.envelope_settings import AxisRange, EnvelopeSettings, Limits, check_settings, limits_of
 from hil.core.errors import DocumentError
 
 VOLTS_PER_COUNT = 10.0 / 32768
@@ -19,6 +20,8 @@ VOLTS_PER_COUNT = 10.0 / 32768
 MAX_WIRE_V = 32767 * VOLTS_PER_COUNT
 """Largest voltage that an analogue channel of the DBC can carry."""
 
+MAX_RATE_V_S = 10_000.0
+"""Largest rate limit of a valve in volts per second: the whole range within the shortest period, 1 ms."""
 MAX_HOLD_S = 2.0
 """Longest time for which the valves may hold their last command without a new one."""
 MAX_HEARTBEAT_TIMEOUT_S = 10.0
@@ -108,7 +111,7 @@ class Valve(Document, frozen=True):
     centre_v: Volts
     min_v: Volts
     max_v: Volts
-    max_rate_v_s: Annotated[float, msgspec.Meta(gt=0.0, le=1e9)]
+    max_rate_v_s: Annotated[float, msgspec.Meta(gt=0.0, le=MAX_RATE_V_S)]
     """Largest rate of change of the command in volts per second."""
 
 
@@ -133,6 +136,21 @@ class AxisSettings(Document, frozen=True):
     """
     fence_max_y: float | None = None
     """Travel fence: the same above this position. The default is a tenth of the range under ``max_y``."""
+    envelope: EnvelopeSettings = EnvelopeSettings()
+    """What the axis may do in state running."""
+
+    @property
+    def range(self) -> AxisRange:
+        """Ranges of positions and of the valve, from which the envelope's defaults are derived."""
+        pot, valve = self.potentiometer, self.valve
+        sensor = sorted((pot.position(pot.min_v), pot.position(pot.max_v)))
+        opening_v = min(valve.max_v - valve.centre_v, valve.centre_v - valve.min_v)
+        return AxisRange(self.min_y, self.max_y, sensor[0], sensor[1], opening_v)
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the envelope, with the defaults of what the rig file does not give."""
+        return limits_of(self.envelope, self.range)
 
     @property
     def fence_limits(self) -> tuple[float, float]:
@@ -184,7 +202,9 @@ def read_rig(text: str, source: str) -> Rig:
                 f"{source}: axes: {name!r} cannot be the name of an axis, because it names files and topics; "
                 "use a letter, then letters, digits or _"
             )
-        _check_axis(axis, f"{source}: axes.{name}")
+        where = f"{source}: axes.{name}"
+        _check_axis(axis, where)
+        check_settings(axis.envelope, axis.range, rig.loop.period_s, axis.unit, f"{where}.envelope")
     for part in ("potentiometer", "valve"):
         _check_channels(rig, part, source)
     return rig

@@ -20,6 +20,7 @@ import math
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 from hil.core.errors import SetpointError
@@ -61,6 +62,8 @@ class Setpoint(NamedTuple):
     """Smallest value in the axis' unit."""
     max_r: float
     """Largest value in the axis' unit."""
+    max_speed: float = 0.0
+    """Largest speed between jumps, in the axis' unit per s. The jumps of a step are intended."""
 
 
 def csv_file(text: str) -> str | None:
@@ -101,7 +104,16 @@ def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
     min_r, max_r = min(0.0, *values), max(0.0, *values)
     if kind == "sine":
         min_r, max_r = -abs(values[0]), abs(values[0])
-    return Setpoint(text, at, min_r, max_r)
+    return Setpoint(text, at, min_r, max_r, abs(values[0]) * _PEAK_SPEEDS.get(kind, 0.0) / span)
+
+
+def check_speed(setpoint: Setpoint, axis: str, max_speed: float, unit: str) -> None:
+    """Refuse a setpoint that is faster than the axis may move. Raises SetpointError."""
+    if setpoint.max_speed > max_speed:
+        raise SetpointError(
+            f"{axis}: setpoint {setpoint.text!r} moves at up to {setpoint.max_speed:.4g} {unit}/s, limit "
+            f"{max_speed:g} {unit}/s (rig: axes.{axis}.envelope.max_speed); give it more time, or use steps"
+        )
 
 
 def check_within(setpoint: Setpoint, axis: str, min_y: float, max_y: float, unit: str) -> None:
@@ -156,6 +168,9 @@ def _sine(values: list[float], start: float, period: float) -> Function:
     return lambda t: amplitude * math.sin(math.tau * (t - start) / period) if t >= start else 0.0
 
 
+_PEAK_SPEEDS = {"ramp": 1.0, "minimum-jerk": 1.875, "sine": math.tau}
+"""Largest speed of a form of size 1 whose span is 1 s. Steps and ladders only jump."""
+
 _FUNCTIONS: dict[str, Callable[[list[float], float, float], Function]] = {
     "step": _step,
     "ladder": _ladder,
@@ -197,7 +212,12 @@ def _from_csv(text: str, content: str, file: str) -> Setpoint:
         share = (t - times[after - 1]) / (times[after] - times[after - 1])
         return values[after - 1] + share * (values[after] - values[after - 1])
 
-    return Setpoint(text, at, min(values), max(values))
+    slopes = [
+        abs(after - before) / (end - start)
+        for (start, before), (end, after) in pairwise(zip(times, values, strict=True))
+        if end > start
+    ]
+    return Setpoint(text, at, min(values), max(values), max(slopes, default=0.0))
 
 
 def _rows(content: str, file: str) -> Iterator[list[str]]:

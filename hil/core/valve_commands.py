@@ -3,11 +3,15 @@
 A control law's output is limited in magnitude and in rate, and rounded to a value that the frame can carry
 without leaving the limits. The frame gets a counter and a CRC. Centring the valves (5 V) is immediate: it
 is the safe state, so the rate limit does not apply to it.
+
+The rate limit starts from the last command that the bus took. A command counts as taken until ``refused`` is
+called with its frame.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 from hil.core.frames import Frame
@@ -17,6 +21,9 @@ from hil.core.wire.crc8 import crc8_j1850
 
 UNUSED_CHANNEL_V = 5.0
 """Voltage of a channel without an axis, in volts."""
+KEPT_COMMANDS = 4
+"""Number of commands that are kept until they may have been refused. One call to the gateway returns at most
+two commands, and their refusals are reported before the next call."""
 
 
 class ValveCommands:
@@ -34,7 +41,9 @@ class ValveCommands:
         self._protected = protected
         self._counter = 0
         self.volts = list(self._centres_v)
-        """Commanded valve voltages in volts, after the limits."""
+        """Commanded valve voltages in volts, after the limits. The rate limits start from them."""
+        self._kept: deque[tuple[Frame, list[float]]] = deque(maxlen=KEPT_COMMANDS)
+        """The last commands that were not refused, with their voltages."""
 
     def centre(self) -> None:
         """Set every command to its valve's centre voltage, at once."""
@@ -69,7 +78,7 @@ class ValveCommands:
         return offset_v if allowed == wanted else allowed - centre
 
     def frame(self) -> Frame:
-        """Return the next RPDO1_DAC frame with the present commands."""
+        """Return the next RPDO1_DAC frame with the present commands. It counts as taken by the bus."""
         channels_v = [UNUSED_CHANNEL_V] * 3
         for channel, volts in zip(self._channels, self.volts, strict=True):
             channels_v[channel] = volts
@@ -77,5 +86,16 @@ class ValveCommands:
         self._counter = (counter + 1) & 0xFF
         data = codec.encode_rpdo1_dac(channels_v[0], channels_v[1], channels_v[2], counter, 0)
         if self._protected:
-            return Frame(codec.RPDO1_DAC, data[:7] + bytes((crc8_j1850(data[:7]),)))
-        return Frame(codec.RPDO1_DAC, data[:6])
+            frame = Frame(codec.RPDO1_DAC, data[:7] + bytes((crc8_j1850(data[:7]),)))
+        else:
+            frame = Frame(codec.RPDO1_DAC, data[:6])
+        self._kept.append((frame, self.volts.copy()))
+        return frame
+
+    def refused(self, frame: Frame) -> None:
+        """Take back a command that the bus refused. ``volts`` are then those of the last one that it took."""
+        for index in reversed(range(len(self._kept))):
+            if self._kept[index][0] == frame:
+                del self._kept[index]
+                break
+        self.volts = list(self._kept[-1][1] if self._kept else self._centres_v)

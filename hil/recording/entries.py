@@ -56,7 +56,10 @@ class FrameSent(NamedTuple):
 
 
 class FrameRefused(NamedTuple):
-    """Answer: the core returned ``frame``, and the link did not send it."""
+    """Answer: the core returned ``frame``, and the link did not send it.
+
+    If it is a valve command, this is also a call: the core was given ``command_refused``.
+    """
 
     now_ns: int
     frame: Frame

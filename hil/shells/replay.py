@@ -14,12 +14,14 @@ from hil import __version__
 from hil.core.errors import HilError, RecordingError, ReplayMismatchError
 from hil.core.gateway import Gateway
 from hil.core.output import Output
+from hil.core.wire.codec import RPDO1_DAC
 from hil.recording.entries import (
     Call,
     CycleRecorded,
     DeadlineCalled,
     Entry,
     FrameReceived,
+    FrameRefused,
     FrameSent,
     LinkFailed,
     Logged,
@@ -140,6 +142,8 @@ class _Replay:
             case Logged() if not self._pending:
                 return None  # A log entry of the shell, between two answers of the core.
         self.compared[type(entry)] += 1
+        if isinstance(entry, FrameRefused) and entry.frame.id == RPDO1_DAC:
+            self._gateway.command_refused(entry.frame)
         return difference(recorded_answer(entry), self._pending.popleft() if self._pending else None)
 
     def missing_answer(self) -> Difference | None:

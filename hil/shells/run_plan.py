@@ -20,6 +20,7 @@ class Ending(StrEnum):
     COMPLETED = "completed"
     INTERRUPTED = "interrupted"
     FAULT = "fault"
+    START_REFUSED = "start was refused"
     NO_BOARDS = "boards did not come up"
     LINK = "link failed"
     ERROR = "internal error"
@@ -80,6 +81,9 @@ class RunPlan:
             return Trigger.STOP if gateway.state is LifeCycleState.RUNNING else None
         if self._started_at_period is None:
             return self._bring_up(gateway)
+        if gateway.state is not LifeCycleState.RUNNING:
+            self.end(Ending.START_REFUSED)
+            return None
         is_done = gateway.experiment is not None and gateway.experiment.is_done
         if is_done or self._periods - self._started_at_period > self._run_periods:
             self.end(Ending.COMPLETED)

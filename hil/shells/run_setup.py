@@ -19,7 +19,7 @@ from hil.core.experiment import NAME as EXPERIMENT_NAME
 from hil.core.experiment import Experiment, read_experiment
 from hil.core.gateway import Gateway
 from hil.core.rig import Rig, read_rig
-from hil.core.setpoints import Setpoint, check_within, csv_file, parse_setpoint
+from hil.core.setpoints import Setpoint, check_speed, check_within, csv_file, parse_setpoint
 from hil.core.suggestions import did_you_mean
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 
@@ -160,6 +160,7 @@ def setup_from_texts(
         try:
             parsed[name] = parse_setpoint(setpoints[name], table)
             check_within(parsed[name], name, axis.min_y, axis.max_y, axis.unit)
+            check_speed(parsed[name], name, axis.limits.max_speed, axis.unit)
         except SetpointError as error:
             origin = sources.get(f"setpoints.{name}", f"setpoints.{name}")
             raise SetpointError(f"{origin}: {error}") from None

@@ -125,6 +125,8 @@ class Session:
                 self._recorder.frame_sent(frame, sent_ns)
             else:
                 self._recorder.frame_refused(frame, sent_ns)
+                if frame.id == RPDO1_DAC:
+                    self.gateway.command_refused(frame)
         return failure
 
     def _count(self, frame: Frame, is_taken: bool) -> None:

@@ -13,7 +13,7 @@ from scipy.signal import cont2discrete, tf2ss
 from support.arm_bench import identify, prbs
 from support.arm_files import SHIPPED_TEXT
 from support.constants import PERIOD_NS, PERIOD_S
-from support.shipped_rig import SHIPPED_RIG
+from support.shipped_rig import RIG_TEXT, SHIPPED_RIG
 
 from hil.cli import main
 from hil.core.life_cycle import LifeCycleState
@@ -108,8 +108,11 @@ def test_the_whole_chain_identifies_equation_15(tmp_path: Path) -> None:
         },
     }  # fmt: skip
     (tmp_path / "open.json").write_text(json.dumps(open_loop))
+    # In open loop, the difference of setpoint and position means nothing.
+    envelope = '[axes.vertical.envelope]\ndisabled = ["max_error"]\n'
+    (tmp_path / "rig.toml").write_text(RIG_TEXT + envelope)
     recording = run(
-        tmp_path / "excited.mcap", "--duration", "60", "--seed", "1",
+        tmp_path / "excited.mcap", "--duration", "60", "--seed", "1", "--rig", f"{tmp_path}/rig.toml",
         "--controller", f"vertical={tmp_path}/open.json", "--setpoint", f"vertical=csv:{tmp_path}/prbs.csv",
     )  # fmt: skip
     rows_read = running(recording, "vertical")

@@ -51,6 +51,8 @@ PATIENT = {"adc__stale_after_periods": "5"}
 """Change of the rig file that tolerates more periods without a good sample."""
 
 AXES = ("vertical", "horizontal", "rotation")
+MAX_ERROR = {"vertical": 0.15, "horizontal": 0.15, "rotation": 1.5}
+"""Largest tracking error by axis, in its unit: tests begin with a setpoint that is not the position."""
 START_NS = 1_000_000_000
 """Time at which benches are switched on. The first deadline is one period later."""
 
@@ -64,8 +66,11 @@ LIVE_STATES = [state for state in LifeCycleState if state is not LifeCycleState.
 PROPORTIONAL = PidLaw(kp=20.0, ki=0.0)
 
 
-def rig_text(changes: Mapping[str, str] | None = None, axes: Sequence[str] = AXES) -> str:
-    """The shipped rig file with ``FIXED`` and ``changes`` (dotted key to TOML literal), for ``axes`` only."""
+def rig_text(changes: Mapping[str, str] | None = None, axes: Sequence[str] = AXES, envelope: str = "") -> str:
+    """The shipped rig file with ``FIXED`` and ``changes`` (dotted key to TOML literal), for ``axes`` only.
+
+    ``envelope`` is TOML for the envelope of every axis.
+    """
     lines = EXAMPLE_RIG.splitlines()
     stale = (changes or {}).get("adc.stale_after_periods", "0")
     is_long = stale.isdecimal() and int(stale) > 3
@@ -75,7 +80,12 @@ def rig_text(changes: Mapping[str, str] | None = None, axes: Sequence[str] = AXE
         number = line_of(lines, table, key)
         lines[number] = f"{key} = {literal}"
     head, *tables = re.split(r"(?m)^(?=\[axes\.\w+\]$)", "\n".join(lines) + "\n")
-    return head + "".join(t for t in tables if re.match(r"\[axes\.(\w+)\]", t)[1] in axes)  # type: ignore[index]
+    named = [(re.match(r"\[axes\.(\w+)\]", table)[1], table) for table in tables]  # type: ignore[index]
+    return head + "".join(
+        f"{table}[axes.{name}.envelope]\n{envelope or f'max_error = {MAX_ERROR[name]}'}\n"
+        for name, table in named
+        if name in axes
+    )
 
 
 def line_of(lines: Sequence[str], table: str, key: str) -> int:
@@ -89,9 +99,9 @@ def line_of(lines: Sequence[str], table: str, key: str) -> int:
     raise KeyError(f"{table}.{key}")
 
 
-def make_rig(changes: Mapping[str, str] | None = None, axes: Sequence[str] = AXES) -> Rig:
+def make_rig(changes: Mapping[str, str] | None = None, axes: Sequence[str] = AXES, envelope: str = "") -> Rig:
     """The rig of :func:`rig_text`."""
-    return read_rig(rig_text(changes, axes), "rig.toml")
+    return read_rig(rig_text(changes, axes, envelope), "rig.toml")
 
 
 def make_gateway(

@@ -15,7 +15,7 @@ from support.gateway_bench import commands_v, rig_text
 import hil
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
-from hil.core.rig import MAX_WIRE_V, VOLTS_PER_COUNT, Valve, read_rig
+from hil.core.rig import MAX_RATE_V_S, MAX_WIRE_V, VOLTS_PER_COUNT, Valve, read_rig
 from hil.core.valve_commands import ValveCommands
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
@@ -145,6 +145,68 @@ class TestChangeTime:
         assert commands.command(0, 3.0) == pytest.approx(allowed_v)
 
 
+def voltages(frame: Frame) -> float:
+    return commands_v(frame)[0]
+
+
+class TestRefusal:
+    """25 V/s is 0.28 V in a period."""
+
+    @pytest.mark.parametrize("protected", [True, False])
+    @pytest.mark.parametrize("refusals", [1, 4, 20])
+    def test_the_rate_limit_starts_from_the_last_command_that_was_taken(
+        self, refusals: int, protected: bool
+    ) -> None:
+        commands = ValveCommands([valve(max_rate_v_s=25.0)], PERIOD_S, protected)
+        commands.command(0, 4.0)
+        assert voltages(commands.frame()) == pytest.approx(5.28, abs=VOLTS_PER_COUNT)
+        for _ in range(refusals):
+            commands.command(0, 4.0)
+            commands.refused(commands.frame())
+        assert commands.command(0, 4.0) == pytest.approx(0.56)
+
+    def test_if_no_command_was_ever_taken_the_rate_limit_starts_from_the_centre(self) -> None:
+        commands = one_valve(max_rate_v_s=25.0)
+        for _ in range(6):
+            commands.command(0, 4.0)
+            commands.refused(commands.frame())
+        assert commands.command(0, 4.0) == pytest.approx(0.28)
+
+    @pytest.mark.parametrize("protected", [True, False])
+    @pytest.mark.parametrize(
+        ("refused", "starts_from_v"), [((0,), 0.0), ((1,), 0.0), ((0, 1), 0.28), ((), 0.0)]
+    )
+    def test_two_centring_commands_in_one_output_are_refused_one_by_one(
+        self, refused: Sequence[int], starts_from_v: float, protected: bool
+    ) -> None:
+        commands = ValveCommands([valve(max_rate_v_s=25.0)], PERIOD_S, protected)
+        commands.command(0, 4.0)
+        commands.frame()
+        centring = []
+        for _ in range(2):
+            commands.centre()
+            centring.append(commands.frame())
+        for number in refused:
+            commands.refused(centring[number])
+        assert commands.command(0, 4.0) == pytest.approx(starts_from_v + 0.28)
+
+    @given(st.lists(st.tuples(st.floats(-5.0, 5.0), st.booleans()), max_size=60), st.booleans())
+    @settings(deadline=None)
+    def test_the_bus_never_gets_a_larger_step_than_the_rate_allows(
+        self, wanted: list[tuple[float, bool]], protected: bool
+    ) -> None:
+        commands = ValveCommands([valve(max_rate_v_s=25.0)], PERIOD_S, protected)
+        on_bus_v = 5.0
+        for offset_v, is_taken in wanted:
+            commands.command(0, offset_v)
+            frame = commands.frame()
+            if not is_taken:
+                commands.refused(frame)
+                continue
+            assert abs(voltages(frame) - on_bus_v) <= 0.28 + VOLTS_PER_COUNT + TINY
+            on_bus_v = voltages(frame)
+
+
 class TestFrame:
     @pytest.mark.parametrize("channels", [(1,), (2,), (3,), (3, 1), (2, 3)])
     def test_unused_channels_are_centred(self, channels: Sequence[int]) -> None:
@@ -186,7 +248,7 @@ def any_valves() -> st.SearchStrategy[Valve]:
 def test_the_rig_file_accepts_exactly_the_allowed_limits(limits: Valve) -> None:
     keys = {f"axes.vertical.valve.{key}": repr(getattr(limits, key)) for key in Valve.__struct_fields__}
     text = rig_text(keys, axes=("vertical",))
-    if is_allowed(limits):
+    if is_allowed(limits) and limits.max_rate_v_s <= MAX_RATE_V_S:
         assert read_rig(text, "rig.toml").axes["vertical"].valve == limits
     else:
         with pytest.raises(DocumentError, match=r"axes\.vertical\.valve"):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.constants import CENTRED, PERIOD_NS, PERIOD_S
+from support.gateway_bench import rig_text
 
 from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.simulated_rig import SimulatedRig
@@ -19,6 +20,7 @@ from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import Cycle, LogEntry, Severity
+from hil.core.rig import VOLTS_PER_COUNT
 from hil.core.sample_guard import SampleGuard, Verdict
 from hil.core.wire import codec
 from hil.links import Received
@@ -127,8 +129,8 @@ class Listener:
 class Bench:
     """One run in real time, simulated. ``run`` returns its recording."""
 
-    def __init__(self, folder: Path, clock: Clock) -> None:
-        self.setup = load_setup(None, {}, {})
+    def __init__(self, folder: Path, clock: Clock, setup: RunSetup) -> None:
+        self.setup = setup
         self.clock = clock
         self.link = LinkToBoards(self.setup, clock)
         self.stop = StopRequest()
@@ -153,11 +155,25 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    clock = Clock()
-    monkeypatch.setattr(realtime, "monotonic_ns", clock)
-    monkeypatch.setattr(realtime, "sleep", clock.sleep)
-    yield Bench(tmp_path, clock)
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    simulated = Clock()
+    monkeypatch.setattr(realtime, "monotonic_ns", simulated)
+    monkeypatch.setattr(realtime, "sleep", simulated.sleep)
+    return simulated
+
+
+@pytest.fixture
+def bench(tmp_path: Path, clock: Clock) -> Bench:
+    return Bench(tmp_path, clock, load_setup(None, {}, {}))
+
+
+@pytest.fixture
+def slow_valve_bench(tmp_path: Path, clock: Clock) -> Bench:
+    """A bench whose vertical valve may move by 25 V/s, 0.28 V in a period, with a step at 0.2 s."""
+    rig = tmp_path / "rig.toml"
+    changes = {"axes.vertical.valve.max_rate_v_s": "25.0", "adc.stale_after_periods": "5"}
+    rig.write_text(rig_text(changes))
+    return Bench(tmp_path, clock, load_setup(rig, {}, {"vertical": "step:0.15@0.2"}))
 
 
 def commands(recording: Recording) -> list[tuple[float, ...]]:
@@ -315,6 +331,25 @@ def test_a_frame_that_a_full_queue_refuses_is_recorded_as_not_sent(bench: Bench)
     texts = [entry.text for entry in bench.observer.entries if entry.source == "link"]
     assert texts[0].startswith("the bus' transmit queue is full: ")
     assert texts[-1].endswith("4 frames not sent so far")
+    assert verify(recording).frames_compared == bench.link.sent
+
+
+def test_after_refusals_a_valve_steps_by_the_rate_of_one_period(slow_valve_bench: Bench) -> None:
+    """The core is given each refused command, and the replay repeats that."""
+    bench, asked = slow_valve_bench, list[Frame]()
+
+    def refuses(frame: Frame) -> bool:
+        if frame.id != codec.RPDO1_DAC:
+            return False
+        asked.append(frame)
+        return len(asked) in (33, 34, 35, 36)  # the valve moves at its rate limit from command 30 on
+
+    bench.link.refuses = refuses
+    recording = bench.run()
+    assert refused(recording) == 4
+    steps_v = [after[0] - before[0] for before, after in pairwise(commands(recording))]
+    assert steps_v[28:34] == pytest.approx([0.28] * 6, abs=VOLTS_PER_COUNT)
+    assert max(map(abs, steps_v[:60])) <= 0.28 + VOLTS_PER_COUNT
     assert verify(recording).frames_compared == bench.link.sent
 
 
