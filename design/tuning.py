@@ -22,6 +22,7 @@ from design.output.tuning_results import Job as Job
 from design.output.tuning_results import Model as Model
 from design.output.tuning_results import Tuning as Tuning
 from design.output.tuning_results import Verified as Verified
+from design.output.tuning_results import failures
 from hil.core.documents import Document, from_toml, to_json
 from hil.core.errors import DocumentError, HilError
 from hil.host.text_file import read_text
@@ -29,7 +30,6 @@ from hil.host.text_file import read_text
 if TYPE_CHECKING:
     from design.synthesis.design_file import DesignFile
     from design.synthesis.procedure import Design, OnProgress
-    from hil.views.summary import StepResponse
 
 ESTIMATION_SEED, VALIDATION_SEED = 1, 2
 SETTLING_FACTOR = 1.5
@@ -222,7 +222,7 @@ def verify(
         measured = summarise(open_recording(path)).axes[job.axis]
         if not isinstance(measured, StepResponse):
             raise HilError(f"{path}: no step response of {job.axis} can be read from it")
-        found.append(Verified(condition, path, measured, tuple(_failures(measured, requirements))))
+        found.append(Verified(condition, path, measured, failures(measured, requirements)))
     return found
 
 
@@ -235,20 +235,6 @@ def default_design() -> DesignFile:
 
 def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()[:8]
-
-
-def _failures(measured: StepResponse, requirements: DesignFile) -> list[str]:
-    """Return the specifications that a measured step does not meet."""
-    limits = requirements.specifications
-    found = []
-    if limits.overshoot is not None and measured.overshoot_percent > 100.0 * limits.overshoot:
-        found.append(f"overshoot {measured.overshoot_percent:.2f} %, limit {100.0 * limits.overshoot:g} %")
-    if limits.settling_s is not None and (
-        measured.settling_s is None or measured.settling_s > limits.settling_s
-    ):
-        settled = "never" if measured.settling_s is None else f"{measured.settling_s:.2f} s"
-        found.append(f"settling time {settled}, limit {limits.settling_s:g} s")
-    return found
 
 
 def _collect_command(job: Job, condition: Condition, seed: int) -> list[str]:

@@ -51,17 +51,17 @@ def print_design(
     _print_comparison(console, design)
     values = ", ".join(f"{name} {value:.5g}" for name, value in design.designed.parameters.items())
     share_percent = 100.0 * design.eps / design.problem.eps_opt
-    _print(console, "")
-    _print(console, f"{design.designed.name}  {values}", "bold")
-    _print(
+    print_wrapped(console, "")
+    print_wrapped(console, f"{design.designed.name}  {values}", "bold")
+    print_wrapped(
         console,
         f"ε {design.eps:.4f}: {share_percent:.1f} % of the largest margin that any controller has with this "
         "weight",
     )
     for guarantee in design.guarantees:
-        _print(console, _guarantee_text(guarantee))
+        print_wrapped(console, _guarantee_text(guarantee))
     if measured is not None:
-        _print(console, f"the model follows {measured.source} to {measured.fit_percent:.1f} %")
+        print_wrapped(console, f"the model follows {measured.source} to {measured.fit_percent:.1f} %")
     _print_recommendation(console, design, written.recommendation)
     _print_files(console, design, written, plant_file)
 
@@ -71,42 +71,42 @@ def print_reproduction(console: Console, reproduction: Reproduction, report: Pat
     _print_claims(console, reproduction.claims)
     for claim in reproduction.claims:
         if not claim.agrees:
-            _print(console, f"{claim.where}, {claim.what}: {claim.explanation}")
-    _print(
+            print_wrapped(console, f"{claim.where}, {claim.what}: {claim.explanation}")
+    print_wrapped(
         console,
         f"{reproduction.agreeing} of {len(reproduction.claims)} reproduced, {reproduction.explained} differ "
         f"for the reasons above, {reproduction.failed} must agree and do not",
     )
-    _print(console, f"report  {report}")
+    print_wrapped(console, f"report  {report}")
 
 
 def _print_recommendation(console: Console, design: Design, recommendation: Recommendation) -> None:
     for note in design.notes:
-        _print(console, f"not compared: {note}")
+        print_wrapped(console, f"not compared: {note}")
     if recommendation.unstable:
         names = ", ".join(recommendation.unstable)
-        _print(console, f"no controller file, unstable in the rig's loop: {names}")
+        print_wrapped(console, f"no controller file, unstable in the rig's loop: {names}")
     for hint in recommendation.hints:
-        _print(console, f"hint: {hint}", "yellow")
+        print_wrapped(console, f"hint: {hint}", "yellow")
     for warning in recommendation.warnings:
-        _print(console, f"warning from the plant file: {warning}", "yellow")
+        print_wrapped(console, f"warning from the plant file: {warning}", "yellow")
     for objection in recommendation.objections:
-        _print(console, f"do not run: {objection}", "red")
+        print_wrapped(console, f"do not run: {objection}", "red")
 
 
 def _print_files(console: Console, design: Design, written: WrittenDesign, plant_file: Path | None) -> None:
-    _print(console, "")
-    _print(console, f"report      {written.report}")
+    print_wrapped(console, "")
+    print_wrapped(console, f"report      {written.report}")
     if written.controller is not None:
-        _print(console, f"controller  {written.controller}")
+        print_wrapped(console, f"controller  {written.controller}")
     if written.controller is None or written.recommendation.action is not Action.RUN:
-        _print(console, "next        correct what is said above; do not run this controller as it is")
+        print_wrapped(console, "next        correct what is said above; do not run this controller as it is")
         return
     # A command is not wrapped, so that it can be copied.
     command = run_command(design, written.controller, plant_file)
     console.print(Text(f"next        {command}"), soft_wrap=True)
     for note in run_notes(design, plant_file):
-        _print(console, note, indent=12)
+        print_wrapped(console, note, indent=12)
 
 
 def _guarantee_text(guarantee: Guarantee) -> str:
@@ -153,8 +153,8 @@ def _print_claims(console: Console, claims: Sequence[CheckedClaim]) -> None:
         console.print(table)
         return
     for claim in claims:
-        _print(console, f"{claim.where}, {claim.what}: {claim.result}", _style(claim))
-        _print(console, f"paper: {claim.printed}; computed: {claim.computed}", indent=4)
+        print_wrapped(console, f"{claim.where}, {claim.what}: {claim.result}", _style(claim))
+        print_wrapped(console, f"paper: {claim.printed}; computed: {claim.computed}", indent=4)
 
 
 def _style(claim: CheckedClaim) -> str:
@@ -163,7 +163,7 @@ def _style(claim: CheckedClaim) -> str:
     return "green" if claim.agrees else "yellow"
 
 
-def _print(console: Console, text: str, style: str = "", indent: int = 0) -> None:
+def print_wrapped(console: Console, text: str, style: str = "", indent: int = 0) -> None:
     """Print a text, its lines wrapped at blanks; what is wrapped keeps the indentation of its line."""
     for line in text.split("\n"):
         blanks = " " * (indent + len(line) - len(line.lstrip()))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,30 @@ if TYPE_CHECKING:
     from design.synthesis.design_file import DesignFile
     from design.synthesis.procedure import Design
     from hil.views.summary import StepResponse
+
+
+MEASURED = ("overshoot", "settling_s", "error")
+"""Names of the specifications that are read off a measured step."""
+LABELS = {
+    "overshoot": "overshoot",
+    "settling_s": "settling time",
+    "rise_s": "rise time",
+    "error": "steady-state error",
+    "bandwidth_rad_s": "crossover",
+    "closed_bandwidth_rad_s": "closed-loop bandwidth",
+    "gain_db": "low-frequency gain",
+    "gain_margin_db": "gain margin",
+    "phase_margin_deg": "phase margin",
+    "effort_v": "valve voltage",
+    "disturbance_peak": "disturbance gain",
+}
+"""Names of the specifications in words."""
+NOT_JUDGED = ("error",)
+"""Names of the measured specifications that are shown and not judged.
+
+The specified error is that of the linear loop as t goes to infinity. A measured one contains the friction
+that holds the axis, and the resolution of the potentiometer.
+"""
 
 
 class Condition(Document, frozen=True):
@@ -55,6 +80,30 @@ class Model:
     plant: Plant
     identification: Identification
     plant_file: Path
+
+
+@dataclass(frozen=True)
+class MeasuredReading:
+    """The value of one specification, read off a measured step, beside its limit."""
+
+    quantity: str
+    value: float
+    """In the unit of the specification; infinite for a step that did not settle."""
+    limit: float
+
+    @property
+    def met(self) -> bool:
+        """True if the value is not over the limit."""
+        return self.value <= self.limit
+
+    @property
+    def is_judged(self) -> bool:
+        """True if the verification fails where the value is over the limit."""
+        return self.quantity not in NOT_JUDGED
+
+    def __str__(self) -> str:
+        value, limit = value_text(self.quantity, self.value), value_text(self.quantity, self.limit)
+        return f"{LABELS[self.quantity]} {value}, limit {limit}"
 
 
 @dataclass(frozen=True)
@@ -111,8 +160,6 @@ class Tuning:
     @property
     def predictions(self) -> tuple[tuple[Reading, ...], ...]:
         """Specifications read off the loop of the designed controller with each model, in their order."""
-        from dataclasses import replace
-
         from design.closed_loop.specifications import readings
 
         specifications = self.design.design_file.specifications.requested()
@@ -137,3 +184,35 @@ class Tuning:
     def meets_specifications(self) -> bool:
         """True if the loops with all models, and every measured step, meet the specifications."""
         return not self.missed_predictions and not any(verified.failures for verified in self.verified)
+
+
+def measured_readings(measured: StepResponse, design_file: DesignFile) -> tuple[MeasuredReading, ...]:
+    """Return the specifications that a measured step shows, in the order of the design file."""
+    size = abs(measured.step_to - measured.step_from)
+    values = {
+        "overshoot": 0.01 * measured.overshoot_percent,
+        "settling_s": math.inf if measured.settling_s is None else measured.settling_s,
+        "error": abs(measured.steady_state_error) / size,
+    }
+    return tuple(
+        MeasuredReading(s.quantity, values[s.quantity], s.limit)
+        for s in design_file.specifications.requested()
+        if s.quantity in MEASURED
+    )
+
+
+def failures(measured: StepResponse, design_file: DesignFile) -> tuple[str, ...]:
+    """Return the judged specifications that a measured step does not meet, in words."""
+    read = measured_readings(measured, design_file)
+    return tuple(str(reading) for reading in read if reading.is_judged and not reading.met)
+
+
+def value_text(quantity: str, value: float) -> str:
+    """Return a value of a specification with its unit; shares of the step are in per cent."""
+    from design.closed_loop.specifications import QUANTITIES
+
+    if not math.isfinite(value):
+        return "never" if quantity.endswith("_s") and not quantity.endswith("rad_s") else "∞"
+    if quantity in ("overshoot", "error"):
+        return f"{100.0 * value:.3g} %"
+    return f"{value:.4g} {QUANTITIES[quantity].unit}".rstrip()
