@@ -9,7 +9,7 @@ import numpy as np
 from design.errors import DesignError
 from design.identification.analysis.comparison import Comparison
 from design.identification.analysis.frequency_response import FrequencyResponse
-from design.identification.analysis.residuals import Correlation, ResidualAnalysis
+from design.identification.analysis.residuals import Correlation
 from design.identification.analysis.uncertainty import Properties, Root, response_band
 from design.identification.identify import Identification
 from design.mathematics.polynomials import Array, ComplexArray
@@ -34,6 +34,8 @@ MAX_RECORDS = 4
 """Largest number of validation records that are drawn."""
 _SIGMAS = 1.959964
 """Half the width of a 95 % interval, in standard deviations."""
+_MAX_DOTS = 70
+"""Largest number of points of the response measured without a model, so that the model can be seen."""
 _MAX_DEPTH_DB = 100.0
 """Height of the magnitude panel at most."""
 _MIN_COHERENCE = 0.5
@@ -46,19 +48,9 @@ _MODEL, _OTHER, _AREA = "#0072b2", "#d55e00", "#0072b2"
 _MEASURED = Style("#9aa3ad", "", 3.2)
 _SIMULATED = Style(_MODEL, "", 1.3)
 _INPUT = Style("#1b1f23", "", 0.9)
-_ESTIMATE, _PALE_ESTIMATE = Style(_OTHER, "", 2.2), Style("#e8b592", "", 1.6)
+_ESTIMATE, _PALE_ESTIMATE = Style(_OTHER, "", 2.0), Style("#e0a07a", "", 1.4)
 _BOUND = Style("#7d8790", "", 0.6)
 _TIME, _FREQUENCY = "time, s", "frequency, rad/s"
-
-
-def identification_figures(identification: Identification, unit: str) -> list[Figure]:
-    """Draw all figures of the report: outputs, Bode diagram, residuals, pole-zero map."""
-    return [
-        *output_figures(identification.validation, unit),
-        bode_figure(identification, unit),
-        *residual_figures(identification.residuals),
-        pole_zero_figure(identification.properties),
-    ]
 
 
 def output_figures(validation: Sequence[Comparison], unit: str) -> list[Figure]:
@@ -165,35 +157,31 @@ def bode_figure(identification: Identification, unit: str) -> Figure:
     )
 
 
-def residual_figures(residuals: ResidualAnalysis) -> list[Figure]:
+def residual_figure(identification: Identification) -> Figure:
     """Draw the correlation of the residuals with themselves and with the input, with their bounds."""
-    level = f"{100.0 * residuals.whiteness.level:g} %"
-    before, after = residuals.to_input, residuals.from_input
-    lags, values, bounds = (
+    residuals = identification.residuals
+    own, before, after = residuals.whiteness, residuals.to_input, residuals.from_input
+    past_lags = np.concatenate([-own.lags[::-1], own.lags])
+    past, bounds = (np.concatenate([side[::-1], side]) for side in (own.values, own.bounds))
+    lags, cross, cross_bounds = (
         np.concatenate([getattr(before, key)[:0:-1], getattr(after, key)])
         for key in ("lags", "values", "bounds")
     )
-    return [
-        _correlation_figure(
-            "whiteness",
-            "Residuals: correlation with their own past",
-            f"{_whiteness_text(residuals.whiteness)} Shaded: the {level} interval of white noise.",
-            residuals.whiteness.lags,
-            residuals.whiteness.values,
-            residuals.whiteness.bounds,
-            level,
-        ),
-        _correlation_figure(
-            "cross-correlation",
-            "Residuals: correlation with the input",
-            f"{_dynamics_text(after)} {_feedback_text(before)} Positive lags: the input comes first. Shaded: "
-            f"the {level} interval of independent signals.",
-            lags,
-            values,
-            bounds,
-            level,
-        ),
+    reach = float(np.abs(lags).max()) + 0.6
+    x = Axis("lag, samples", low=-reach, high=reach)
+    panels = [
+        _correlation_panel(x, "with themselves", own.level, past_lags, past, bounds),
+        _correlation_panel(x, "with the input", after.level, lags, cross, cross_bounds),
     ]
+    noise_is_modelled = len(identification.discrete.c) + len(identification.discrete.d) > 2
+    return Figure(
+        "residuals",
+        "Residuals: correlation with themselves and with the input",
+        f"Above: {_whiteness_text(own, noise_is_modelled)} Below: {_dynamics_text(after)} "
+        f"{_feedback_text(before)} At positive lags the input comes first. Shaded: the interval in which "
+        f"{100.0 * own.level:g} % of the values lie if there is no correlation.",
+        draw(panels, "residuals"),
+    )
 
 
 def pole_zero_figure(known: Properties) -> Figure:
@@ -259,42 +247,40 @@ def _root_text(value: complex) -> str:
     return f"{value.real:.3g}{imaginary}".replace("-", "−")
 
 
-def _correlation_figure(
-    key: str, title: str, caption: str, lags: Array, values: Array, bounds: Array, level: str
-) -> Figure:
-    margin = 0.6
-    high = float(np.nanmax(np.abs(np.concatenate([values, bounds])), initial=0.05)) * 1.15
-    panel = Panel(
-        Axis("lag, samples", low=float(lags[0]) - margin, high=float(lags[-1]) + margin),
-        Axis("correlation", low=-high, high=high),
+def _correlation_panel(x: Axis, what: str, level: float, lags: Array, values: Array, bounds: Array) -> Panel:
+    high = 1.15 * float(np.nanmax(np.abs(np.concatenate([values, bounds])), initial=0.05))
+    return Panel(
+        x,
+        Axis(what, low=-high, high=high),
         (),
         (Limit(0.0, ""),),
         marks=(Marks("", lags, values, Style(_MODEL, "", 1.3), Shape.STEM),),
-        areas=(area_between(f"{level} bounds", lags, -bounds, bounds, _BOUND),),
-        height=210,
+        areas=(area_between(f"{100.0 * level:g} % bounds", lags, -bounds, bounds, _BOUND),),
+        height=200,
     )
-    return Figure(key, title, caption, draw([panel], key))
 
 
-def _whiteness_text(correlation: Correlation) -> str:
+def _whiteness_text(correlation: Correlation, noise_is_modelled: bool) -> str:
     if correlation.passed:
-        return "The residuals are white: the noise has no structure that the model misses."
+        return "the residuals are white."
+    if noise_is_modelled:
+        return "the residuals are not white, so the model of the noise is incomplete."
     return (
-        "The residuals are not white. An output-error model does not describe the noise, so this alone does "
-        "not speak against the plant; its intervals allow for it."
+        "the residuals are not white. This structure does not describe the noise, so that alone does not "
+        "speak against the plant."
     )
 
 
 def _dynamics_text(correlation: Correlation) -> str:
     if correlation.passed:
-        return "No correlation with earlier inputs: the dynamics are complete."
-    return "A correlation with earlier inputs: the model lacks dynamics that the record shows."
+        return "no correlation with earlier inputs, so the dynamics are complete."
+    return "a correlation with earlier inputs, so the model lacks dynamics that the record shows."
 
 
 def _feedback_text(correlation: Correlation) -> str:
     if correlation.passed:
-        return "None with later inputs: no sign of feedback."
-    return "A correlation with later inputs: the output acted on the input, as in a closed loop."
+        return "There is none with later inputs, so there is no sign of feedback."
+    return "There is one with later inputs: the output acted on the input, as in a closed loop."
 
 
 def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
@@ -328,9 +314,11 @@ def _points(
         return ()
     y = values(measured)
     good = measured.coherence >= _MIN_COHERENCE
+    every = -(-len(y) // _MAX_DOTS)
+    shown = np.arange(len(y)) % every == 0
     sides = (
-        (~good, "measured, coherence under 0.5", _PALE_ESTIMATE),
-        (good, "measured without a model", _ESTIMATE),
+        (shown & ~good, "measured, coherence under 0.5", _PALE_ESTIMATE),
+        (shown & good, "measured without a model", _ESTIMATE),
     )
     return tuple(
         Marks(label, measured.omega_rad_s[side], y[side], style) for side, label, style in sides if side.any()

@@ -19,7 +19,7 @@ from design.output.identification_figures import (
     bode_figure,
     output_figures,
     pole_zero_figure,
-    residual_figures,
+    residual_figure,
 )
 from design.output.mathml import transfer_function_formula
 from design.output.page import render_page
@@ -113,7 +113,7 @@ def render_identification(
         zeros_note=_zeros_note(known),
         figures=[
             bode_figure(identification, unit),
-            *residual_figures(identification.residuals),
+            residual_figure(identification),
             pole_zero_figure(known),
         ],
         orders=[] if table is None else _order_rows(table, str(identification.structure)),
@@ -240,8 +240,8 @@ def _order_rows(table: OrderTable, chosen: str) -> list[_OrderRow]:
         _OrderRow(
             str(row.structure),
             "–" if row.estimate is None else _percent(row.fit_percent).removesuffix(" %"),
-            "–" if row.estimate is None else f"{row.aic:.1f}",
-            "–" if row.estimate is None else f"{row.bic:.1f}",
+            "–" if row.estimate is None else f"{row.aic:.1f}".replace("-", "−"),
+            "–" if row.estimate is None else f"{row.bic:.1f}".replace("-", "−"),
             "–" if row.estimate is None else str(row.estimate.unknowns),
             note(row),
         )
@@ -287,10 +287,11 @@ def _facts(identification: Identification, plant: Plant) -> list[tuple[str, str]
     search = "it converged" if estimate.converged else "it did not converge"
     return [
         ("structure", str(identification.structure)),
+        ("description", plant.description or "none"),
         ("input and output", f"{plant.input_unit} to {plant.output_unit}"),
         ("period", f"{identification.discrete.sample_time_s:g} s"),
-        ("dead time", f"dead_time_s {plant.dead_time_s:g}"),
-        ("rig's delay in the model", f"contains_delay_samples {plant.contains_delay_samples}"),
+        ("dead time, dead_time_s", f"{plant.dead_time_s:g} s"),
+        ("rig's delay in it, contains_delay_samples", f"{plant.contains_delay_samples} periods"),
         ("estimation", f"{estimate.samples} samples, {estimate.unknowns} unknowns; {search}"),
         ("noise, standard deviation", f"{_number(estimate.noise_std)} {plant.output_unit}"),
         *offsets,

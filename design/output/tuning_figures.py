@@ -25,7 +25,7 @@ def step_figure(tuning: Tuning, verified: Verified) -> Figure:
     table = open_recording(verified.recording).axis(tuning.job.axis)
     measured, name = verified.measured, verified.condition.name
     low, high = measured.step_from, measured.step_to
-    at = int(np.argmax(table.running & np.isclose(table.setpoint, high)))
+    at = int(np.flatnonzero(np.diff(table.setpoint) * table.running[1:])[-1]) + 1
     time_s = table.time_s - table.time_s[at]
     shown = (time_s >= -_BEFORE_S) & table.running
     time_s = time_s[shown]
@@ -34,7 +34,9 @@ def step_figure(tuning: Tuning, verified: Verified) -> Figure:
     limits = tuning.design_file.specifications
     marks = []
     if limits.overshoot is not None:
-        marks.append(Limit(high + limits.overshoot * (high - low), f"overshoot limit {limits.overshoot:.3g}"))
+        marks.append(
+            Limit(high + limits.overshoot * (high - low), f"overshoot limit {100.0 * limits.overshoot:g} %")
+        )
     if limits.settling_s is not None:
         marks.append(Limit(limits.settling_s, f"settled by {limits.settling_s:g} s", of_x=True))
     band = sorted((high - 0.02 * (high - low), high + 0.02 * (high - low)))
@@ -56,8 +58,19 @@ def step_figure(tuning: Tuning, verified: Verified) -> Figure:
     return Figure(
         f"step-{name}",
         f"Condition {name}",
-        f"{verdict} The prediction is the linear model of this condition, from rest.",
+        f"{verdict} The prediction is the linear model of this condition, from rest."
+        f"{_start_text(float(table.error[at - 1]), high - low, measured.unit)}",
         draw([output, valve], f"step {name}"),
+    )
+
+
+def _start_text(error: float, size: float, unit: str) -> str:
+    """Say that the axis was not at rest before the step, if it was outside the settling band."""
+    if abs(error) <= 0.02 * abs(size):
+        return ""
+    return (
+        f" When the step came, the axis was still {abs(error):.3g} {unit} away from the setpoint before; the "
+        "readings contain this."
     )
 
 

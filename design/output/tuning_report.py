@@ -28,11 +28,14 @@ from design.output.tuning_results import (
     measured_readings,
     value_text,
 )
-from design.output.tuning_verdict import verdict
+from design.output.tuning_verdict import Outcome, verdict
 from design.robustness.loop_shaping import shaped
 from design.robustness.nu_gap import nu_gap
 
 _GOOD, _BAD, _SOFT = "good", "bad", "soft"
+_STYLES = {"GOOD": "well", "CAUTION": "caution", "BAD": ""}
+"""Style of a statement by its outcome; without one it is red."""
+_OUTCOME_STYLES = {Outcome.GOOD: "green", Outcome.CAUTION: "yellow", Outcome.BAD: "red"}
 _TERMINAL_STYLES = {_GOOD: "green", _BAD: "red", _SOFT: "dim"}
 
 
@@ -97,6 +100,7 @@ def render_tuning(tuning: Tuning, directory: Path) -> str:
         parameters=parameters,
         bus=job.bus or "the simulated arm, in lockstep",
         verdict=verdict(tuning),
+        styles=_STYLES,
         warnings=tuning.warnings,
         eps=design.eps,
         largest_gap=f"{max(gaps):.3f}" if gaps else "–",
@@ -141,8 +145,9 @@ def print_tuning(console: Console, tuning: Tuning) -> None:
         )
     print_wrapped(console, "")
     for statement in verdict(tuning):
-        sign, style = ("✓", "green") if statement.is_good else ("✗", "yellow")
-        print_wrapped(console, f"{sign} {statement.text}", style)
+        print_wrapped(
+            console, f"{statement.outcome.value} {statement.text}", _OUTCOME_STYLES[statement.outcome]
+        )
     for warning in (*tuning.warnings, *_model_warnings(tuning.models)):
         print_wrapped(console, f"warning: {warning}", "yellow")
 

@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 from design.output.tuning_results import LABELS, Tuning, measured_readings, value_text
+
+
+class Outcome(Enum):
+    """What a statement means for the controller; the value is its sign."""
+
+    GOOD = "✓"
+    CAUTION = "!"
+    """The reader must know it; nothing failed."""
+    BAD = "✗"
 
 
 @dataclass(frozen=True)
@@ -12,7 +22,7 @@ class Statement:
     """One statement of the verdict."""
 
     text: str
-    is_good: bool
+    outcome: Outcome
 
 
 def verdict(tuning: Tuning) -> list[Statement]:
@@ -34,45 +44,47 @@ def _stability(tuning: Tuning) -> Statement:
             unstable.insert(0, tuning.design.plant.name)
         return Statement(
             f"The controller does not stabilise {_listed(unstable)}. Do not run it under these conditions.",
-            False,
+            Outcome.BAD,
         )
     if not guarantees:
-        return Statement("Only one model was identified, so nothing is proved for other conditions.", False)
+        return Statement(
+            "Only one model was identified, so nothing is proved for other conditions.", Outcome.CAUTION
+        )
     largest = max(guarantees, key=lambda g: g.gap)
     if tuning.is_guaranteed:
         return Statement(
             "Robust stability is guaranteed over what was measured: every ν-gap to the nominal model (the "
             f"largest is {largest.gap:.3f}, {largest.plant.name}) is below ε {eps:.3f}.",
-            True,
+            Outcome.GOOD,
         )
     beyond = [f"{g.plant.name} ({g.gap:.3f})" for g in guarantees if not g.guaranteed]
     return Statement(
         f"Robust stability is not guaranteed by the margin: the ν-gap of {_listed(beyond)} to the nominal "
         f"model is not below ε {eps:.3f}. By direct computation, the controller stabilises each identified "
         "model; nothing is proved for plants between them.",
-        False,
+        Outcome.CAUTION,
     )
 
 
 def _prediction(tuning: Tuning) -> Statement:
     missed = tuning.missed_predictions
     if not missed:
-        return Statement("Prediction: the specifications are met with every identified model.", True)
+        return Statement("Prediction: the specifications are met with every identified model.", Outcome.GOOD)
     texts = [
         f"{model.condition.name}: {LABELS[reading.quantity]} "
         f"{value_text(reading.quantity, reading.value)}, limit {value_text(reading.quantity, reading.limit)}"
         for model, reading in missed
     ]
-    return Statement(f"Prediction: specifications are not met. {'; '.join(texts)}.", False)
+    return Statement(f"Prediction: specifications are not met. {'; '.join(texts)}.", Outcome.BAD)
 
 
 def _measurement(tuning: Tuning) -> Statement:
     if not tuning.verified:
-        return Statement("Measurement: no step was measured with the new controller.", False)
+        return Statement("Measurement: no step was measured with the new controller.", Outcome.BAD)
     texts = [f"{v.condition.name}: {', '.join(v.failures)}" for v in tuning.verified if v.failures]
     if not texts:
-        return Statement("Measurement: every measured step meets the specifications.", True)
-    return Statement(f"Measurement: specifications are not met. {'; '.join(texts)}.", False)
+        return Statement("Measurement: every measured step meets the specifications.", Outcome.GOOD)
+    return Statement(f"Measurement: specifications are not met. {'; '.join(texts)}.", Outcome.BAD)
 
 
 def _relaxed(tuning: Tuning) -> list[Statement]:
@@ -81,9 +93,10 @@ def _relaxed(tuning: Tuning) -> list[Statement]:
         return []
     return [
         Statement(
-            f"The limit on the settling time was relaxed: no controller settles within {asked:g} s on all "
-            f"models, so {used:g} s was asked for instead. Every verdict on this page is about {used:g} s.",
-            False,
+            f"The limit on the settling time was relaxed from {asked:g} s to {used:g} s, since no controller "
+            "that was found met it on all models and on the rig. Every verdict on this page is about "
+            f"{used:g} s.",
+            Outcome.CAUTION,
         )
     ]
 
@@ -99,10 +112,10 @@ def _not_judged(tuning: Tuning) -> list[Statement]:
         return []
     return [
         Statement(
-            f"The measured steady-state error is over its limit ({', '.join(over)}). It is not judged, "
-            "because the limit is for the linear loop after a long time; a measured error contains friction "
-            "and the resolution of the sensor.",
-            False,
+            f"The measured steady-state error is over its limit ({', '.join(over)}). It is not judged: the "
+            "limit is for the linear loop after a long time, and a measured error contains friction and the "
+            "resolution of the sensor.",
+            Outcome.CAUTION,
         )
     ]
 
