@@ -30,8 +30,7 @@ class Comparison:
     fit_percent: float
     """100 (1 - |y - simulated| / |y - mean y|) over the samples that count. NaN for an unstable model."""
     input_percent: float
-    """The same against the best free motion without an input in place of the mean: what the input explains.
-    """
+    """Fit in per cent that the input explains: the best motion without an input replaces the mean."""
 
     @property
     def error(self) -> Array:

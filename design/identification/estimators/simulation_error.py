@@ -64,7 +64,7 @@ class Simulated:
     reduced: Reduced
 
     def with_gains(self, gains: Array) -> Simulated:
-        """The same dynamics with given factors of the numerators. The cost is no longer that of these
+        """Return these dynamics with given factors of the numerators. The cost is no longer that of these
         factors.
         """
         return replace(self, gains=gains)

@@ -58,7 +58,7 @@ def start_values(data: SimulationError, sections: PoleSections, family: Family) 
 
 
 def excerpts(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """The same share of each experiment, where its input moves most."""
+    """Return an equal share of each experiment, where its input moves most."""
     total = sum(map(len, experiments))
     return [
         _liveliest(experiment, max(1, len(experiment) * SEARCH_SAMPLES // total))
