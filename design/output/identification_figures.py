@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,9 +11,9 @@ from design.errors import DesignError
 from design.identification.analysis.comparison import Comparison
 from design.identification.analysis.frequency_response import FrequencyResponse
 from design.identification.analysis.residuals import Correlation
-from design.identification.analysis.uncertainty import Properties, Root, response_band
+from design.identification.analysis.uncertainty import Properties, ResponseBand, Root, response_band
 from design.identification.identify import Identification
-from design.mathematics.polynomials import Array, ComplexArray
+from design.mathematics.polynomials import Array, Flags
 from design.output.charts import (
     PANEL_WIDTH,
     Area,
@@ -44,12 +45,13 @@ _MAX_POLE_RATIO = 3.0
 """The pole-zero map reaches at most so many times as far as the fastest pole."""
 
 # Okabe and Ito's colours, which colour-blind readers can distinguish.
-_MODEL, _OTHER, _AREA = "#0072b2", "#d55e00", "#0072b2"
+_MODEL, _OTHER = "#0072b2", "#d55e00"
 _MEASURED = Style("#9aa3ad", "", 3.2)
 _SIMULATED = Style(_MODEL, "", 1.3)
 _INPUT = Style("#1b1f23", "", 0.9)
 _ESTIMATE, _PALE_ESTIMATE = Style(_OTHER, "", 2.0), Style("#e0a07a", "", 1.4)
-_BOUND = Style("#7d8790", "", 0.6)
+_BAND, _BOUND = Style(_MODEL, "", 0.5), Style("#7d8790", "", 0.6)
+_BAND_LABEL = "95 % of the model"
 _TIME, _FREQUENCY = "time, s", "frequency, rad/s"
 
 
@@ -94,9 +96,20 @@ def _output_figure(comparison: Comparison, unit: str, key: str) -> Figure:
     )
 
 
+@dataclass(frozen=True)
+class _Points:
+    """The response measured without a model, thinned, as it is drawn; arrays (k,)."""
+
+    omega_rad_s: Array
+    magnitude_db: Array
+    phase_deg: Array
+    """Phase within 180° of the model's."""
+    is_good: Flags
+    """True where the coherence is at least _MIN_COHERENCE."""
+
+
 def bode_figure(identification: Identification, unit: str) -> Figure:
     """Draw the model with its 95 % band over the response that was measured without a model."""
-    nyquist_rad_s = float(np.pi / identification.discrete.sample_time_s)
     measured: FrequencyResponse | None = None
     try:
         measured = identification.frequency_response()
@@ -107,53 +120,56 @@ def bode_figure(identification: Identification, unit: str) -> Figure:
             f" Points: the response measured without a model ({measured.method}); pale where less than half "
             "of the output comes from the input, so that the point means little."
         )
-    omega = np.geomspace(_lowest_frequency(identification, measured), 0.98 * nyquist_rad_s, 300)
+    nyquist_rad_s = float(np.pi / identification.discrete.sample_time_s)
+    lowest = min(_lowest_frequency(identification, measured), 0.1 * nyquist_rad_s)
+    omega = np.geomspace(lowest, 0.98 * nyquist_rad_s, 300)
+    x = Axis(_FREQUENCY, logarithmic=True, low=lowest, high=nyquist_rad_s)
     band = response_band(identification.estimate, omega)
-    x = Axis(_FREQUENCY, logarithmic=True, low=float(omega[0]), high=nyquist_rad_s)
-    magnitude_db = _db(np.abs(band.response))
-    reach = _SIGMAS * band.magnitude_std
-    phase_deg = np.degrees(np.unwrap(np.angle(band.response)))
-    phase_reach = np.degrees(np.minimum(_SIGMAS * band.phase_std_rad, np.pi))
-    style = Style(_AREA, "", 0.5)
-    panels = [
-        Panel(
-            x,
-            _magnitude_axis(magnitude_db, unit),
-            (Curve("model", omega, magnitude_db, _SIMULATED),),
-            marks=_points(measured, lambda m: _db(np.abs(m.response))),
-            areas=(
-                area_between(
-                    "95 % of the model",
-                    omega,
-                    magnitude_db + _db(np.maximum(1.0 - reach, 1e-3)),
-                    magnitude_db + _db(1.0 + reach),
-                    style,
-                ),
-            ),
-            height=210,
-        ),
-        Panel(
-            x,
-            Axis("phase, °", low=min(-180.0, float(phase_deg.min()) - 30.0), tick=90.0),
-            (Curve("model", omega, phase_deg, _SIMULATED),),
-            marks=_points(measured, lambda m: _phase_near(m, omega, band.response)),
-            areas=(
-                area_between(
-                    "95 % of the model", omega, phase_deg - phase_reach, phase_deg + phase_reach, style
-                ),
-            ),
-            height=150,
-        ),
-    ]
+    points = None if measured is None else _points(measured, band)
+    panels = [_magnitude_panel(x, band, points, unit), _phase_panel(x, band, points)]
     if measured is not None:
         coherence = Curve("coherence", measured.omega_rad_s, measured.coherence, Style("#3d4450", "4 2", 1.2))
         panels.append(Panel(x, Axis("coherence", low=0.0, high=1.05), (coherence,), height=80))
     return Figure(
         "bode",
         "Bode diagram from the held input to the sampled output",
-        f"Line: the model, with the interval that contains the plant with a probability of 95 % at each "
-        f"frequency if the structure is right.{note}",
+        "Line: the model, with the interval that contains the plant with a probability of 95 % at each "
+        "frequency if the structure is right. Where the interval cannot be seen, it is narrower than the "
+        f"line.{note}",
         draw(panels, "bode"),
+    )
+
+
+def _magnitude_panel(x: Axis, band: ResponseBand, points: _Points | None, unit: str) -> Panel:
+    magnitude_db, reach = _db(np.abs(band.response)), _SIGMAS * band.magnitude_std
+    low_db, high_db = magnitude_db + _db(np.maximum(1.0 - reach, 1e-3)), magnitude_db + _db(1.0 + reach)
+    seen = [magnitude_db] if points is None else [magnitude_db, points.magnitude_db[points.is_good]]
+    low, high = (float(end(np.concatenate(seen))) for end in (np.min, np.max))
+    y = Axis(
+        f"magnitude, dB ({unit}/V)", low=max(low, high - _MAX_DEPTH_DB) - 8.0, high=high + 8.0, tick=20.0
+    )
+    return Panel(
+        x,
+        y,
+        (Curve("model", band.omega_rad_s, magnitude_db, _SIMULATED),),
+        marks=_marks(points, lambda p: p.magnitude_db),
+        areas=(area_between(_BAND_LABEL, band.omega_rad_s, low_db, high_db, _BAND),),
+        height=210,
+    )
+
+
+def _phase_panel(x: Axis, band: ResponseBand, points: _Points | None) -> Panel:
+    phase_deg = np.degrees(np.unwrap(np.angle(band.response)))
+    reach = np.degrees(np.minimum(_SIGMAS * band.phase_std_rad, np.pi))
+    seen = [phase_deg] if points is None else [phase_deg, points.phase_deg[points.is_good]]
+    low, high = (float(end(np.concatenate(seen))) for end in (np.min, np.max))
+    return Panel(
+        x,
+        Axis("phase, °", low=min(-180.0, low) - 20.0, high=max(0.0, high) + 20.0, tick=90.0),
+        (Curve("model", band.omega_rad_s, phase_deg, _SIMULATED),),
+        marks=_marks(points, lambda p: p.phase_deg),
+        areas=(area_between(_BAND_LABEL, band.omega_rad_s, phase_deg - reach, phase_deg + reach, _BAND),),
+        height=150,
     )
 
 
@@ -280,7 +296,10 @@ def _dynamics_text(correlation: Correlation) -> str:
 def _feedback_text(correlation: Correlation) -> str:
     if correlation.passed:
         return "There is none with later inputs, so there is no sign of feedback."
-    return "There is one with later inputs: the output acted on the input, as in a closed loop."
+    return (
+        "There is one with later inputs too. It means feedback only if a finding says so: missing dynamics "
+        "and an input that changes slowly have the same effect."
+    )
 
 
 def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
@@ -306,35 +325,28 @@ def _lowest_frequency(identification: Identification, measured: FrequencyRespons
     return float(2.0 * np.pi / (samples * identification.discrete.sample_time_s))
 
 
-def _points(
-    measured: FrequencyResponse | None, values: Callable[[FrequencyResponse], Array]
-) -> tuple[Marks, ...]:
+def _points(measured: FrequencyResponse, band: ResponseBand) -> _Points:
+    every = -(-len(measured.omega_rad_s) // _MAX_DOTS)
+    omega, response = measured.omega_rad_s[::every], measured.response[::every]
+    # The model's phase is continuous; a measured one is known up to full turns.
+    phase = np.interp(np.log(omega), np.log(band.omega_rad_s), np.unwrap(np.angle(band.response)))
+    phase = phase + np.angle(response * np.exp(-1j * phase))
+    is_good = measured.coherence[::every] >= _MIN_COHERENCE
+    return _Points(omega, _db(np.abs(response)), np.degrees(phase), is_good)
+
+
+def _marks(points: _Points | None, values: Callable[[_Points], Array]) -> tuple[Marks, ...]:
     """Return the points measured without a model, the doubtful ones apart."""
-    if measured is None:
+    if points is None:
         return ()
-    y = values(measured)
-    good = measured.coherence >= _MIN_COHERENCE
-    every = -(-len(y) // _MAX_DOTS)
-    shown = np.arange(len(y)) % every == 0
+    y = values(points)
     sides = (
-        (shown & ~good, "measured, coherence under 0.5", _PALE_ESTIMATE),
-        (shown & good, "measured without a model", _ESTIMATE),
+        (~points.is_good, "measured, coherence under 0.5", _PALE_ESTIMATE),
+        (points.is_good, "measured without a model", _ESTIMATE),
     )
     return tuple(
-        Marks(label, measured.omega_rad_s[side], y[side], style) for side, label, style in sides if side.any()
+        Marks(label, points.omega_rad_s[side], y[side], style) for side, label, style in sides if side.any()
     )
-
-
-def _phase_near(measured: FrequencyResponse, omega: Array, response: ComplexArray) -> Array:
-    """Return the measured phase in degrees, within 180° of the model's."""
-    phase = np.interp(np.log(measured.omega_rad_s), np.log(omega), np.unwrap(np.angle(response)))
-    return np.asarray(np.degrees(phase + np.angle(measured.response * np.exp(-1j * phase))))
-
-
-def _magnitude_axis(magnitude_db: Array, unit: str) -> Axis:
-    high = float(magnitude_db.max())
-    low = max(float(magnitude_db.min()), high - _MAX_DEPTH_DB)
-    return Axis(f"magnitude, dB ({unit}/V)", low=low - 8.0, high=high + 8.0, tick=20.0)
 
 
 def _db(magnitude: Array) -> Array:

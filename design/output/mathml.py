@@ -34,9 +34,18 @@ def _polynomial(p: Array, variable: str, digits: int) -> str:
             continue
         sign = "−" if coefficient < 0.0 else ("+" if terms else "")
         size = f"{abs(coefficient):.{digits}g}"
-        number = "" if size == "1" and power else f"<mn>{size}</mn>"
+        number = "" if size == "1" and power else _number(size)
         symbol = {0: "", 1: f"<mi>{variable}</mi>"}.get(
             power, f"<msup><mi>{variable}</mi><mn>{power}</mn></msup>"
         )
         terms.append((f"<mo>{sign}</mo>" if sign else "") + number + symbol)
     return "".join(terms) or "<mn>0</mn>"
+
+
+def _number(text: str) -> str:
+    """Return a number that is not negative, with a power of ten where Python writes an exponent."""
+    mantissa, _, exponent = text.partition("e")
+    if not exponent:
+        return f"<mn>{mantissa}</mn>"
+    power = str(int(exponent)).replace("-", "−")
+    return f"<mn>{mantissa}</mn><mo>·</mo><msup><mn>10</mn><mn>{power}</mn></msup>"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.drawn_curves import drawn_curves
 
-from design.output.charts import Band, Curve, Limit, Panel, Style, draw
+from design.output.charts import Area, Band, Curve, Limit, Marks, Panel, Shape, Style, area_between, draw
 from design.output.scales import Axis
 
 LINE = Style("#000")
@@ -110,3 +110,62 @@ def test_ids_differ_between_the_figures_of_a_page() -> None:
         if element.get("id")
     ]
     assert len(ids) == len(set(ids)) == 3
+
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def elements(svg: str, tag: str) -> list[ET.Element]:
+    return [element for element in ET.fromstring(svg).iter() if element.tag == f"{SVG}{tag}"]
+
+
+@pytest.mark.parametrize("shape", [Shape.DOT, Shape.CIRCLE, Shape.STEM])
+def test_every_finite_point_has_a_mark(shape: Shape) -> None:
+    """The legend has one mark more."""
+    y = np.array([1.0, np.nan, 2.0, np.inf, 3.0])
+    panel = Panel(Axis("x"), Axis("y"), (), marks=(Marks("points", np.arange(5.0), y, LINE, shape),))
+    assert len(elements(draw([panel], "marks"), "circle")) == 4
+
+
+def test_a_cross_has_two_lines() -> None:
+    marks = Marks("", np.array([1.0]), np.array([2.0]), Style("#123456"), Shape.CROSS)
+    svg = draw([Panel(Axis("x"), Axis("y"), (), marks=(marks,))], "cross")
+    assert len([line for line in elements(svg, "line") if line.get("stroke") == "#123456"]) == 2
+
+
+def test_marks_stand_where_their_values_are() -> None:
+    x_axis, y_axis = Axis("x", low=0.0, high=4.0), Axis("y", low=-1.0, high=1.0)
+    marks = Marks("", np.array([0.0, 4.0]), np.array([-1.0, 1.0]), LINE, Shape.CIRCLE)
+    svg = draw([Panel(x_axis, y_axis, (), marks=(marks,))], "marks")
+    (group,) = [g for g in elements(svg, "g") if g.get("class") == "panel"]
+    left, top, width, height = map(float, (group.get("data-box") or "").split())
+    places = [(float(c.get("cx") or 0), float(c.get("cy") or 0)) for c in elements(svg, "circle")]
+    assert places == [(left, top + height), (left + width, top)]
+
+
+def test_a_stem_reaches_from_0_to_its_value() -> None:
+    marks = Marks("", np.array([1.0]), np.array([0.5]), Style("#123456"), Shape.STEM)
+    svg = draw(
+        [Panel(Axis("x", low=0.0, high=2.0), Axis("y", low=-1.0, high=1.0), (), marks=(marks,), height=200)],
+        "s",
+    )
+    (stem,) = [line for line in elements(svg, "line") if line.get("stroke") == "#123456"]
+    assert float(stem.get("y1") or 0) - float(stem.get("y2") or 0) == pytest.approx(50.0)
+
+
+def test_marks_and_areas_set_the_scale_of_an_open_axis() -> None:
+    marks = Marks("m", np.array([0.0, 10.0]), np.array([5.0, 5.0]), LINE)
+    area = Area("a", np.array([0.0, 10.0, 5.0]), np.array([0.0, 0.0, 9.0]), LINE)
+    svg = draw([Panel(Axis("x"), Axis("y"), (), marks=(marks,), areas=(area,))], "scale")
+    (group,) = [g for g in elements(svg, "g") if g.get("class") == "panel"]
+    low, high, _ = map(float, (group.get("data-y") or "").split())
+    assert low < 0.0
+    assert high > 9.0
+    assert len(elements(svg, "polygon")) == 1
+
+
+def test_an_area_between_curves_leaves_out_what_is_not_finite() -> None:
+    low, high = np.array([0.0, np.nan, 1.0]), np.array([2.0, 3.0, 4.0])
+    area = area_between("a", np.arange(3.0), low, high, LINE)
+    assert area.x.tolist() == [0.0, 2.0, 2.0, 0.0]
+    assert area.y.tolist() == [0.0, 1.0, 4.0, 2.0]

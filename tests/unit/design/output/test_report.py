@@ -214,6 +214,18 @@ def test_a_transfer_function_is_written_as_a_formula() -> None:
     assert plain == "Gs(s)=−s2 +2.5s2 +s"
 
 
+def test_a_sampled_transfer_function_is_written_in_z_with_powers_of_ten() -> None:
+    text = transfer_function_formula(
+        TransferFunction(np.array([2.5e-7, 0.0]), np.array([1.0, -1.87654321, 0.9])),
+        "G",
+        variable="z",
+        digits=8,
+    )
+    ET.fromstring(text)
+    plain = re.sub(r"<[^>]+>", "", text.replace("</msup>", " "))
+    assert plain == "G(z)=2.5·10−7 zz2 −1.8765432z+0.9"
+
+
 def test_a_dead_time_is_part_of_the_formula() -> None:
     text = transfer_function_formula(TransferFunction(np.array([2.0]), np.array([1.0, 1.0])), "G", 0.0168)
     ET.fromstring(text)
