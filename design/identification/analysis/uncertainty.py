@@ -24,6 +24,9 @@ LEVEL = 0.95
 """Confidence level of an interval if none is asked for."""
 _STEP = 0.02
 """Step of the differences, in standard deviations along a principal axis."""
+_MAX_STEP = 0.05
+"""Largest step of a parameter, as a share of 1 plus its modulus. The logarithm of a pole that the record does
+not show has a standard deviation of hundreds; a full step would overflow."""
 
 
 @dataclass(frozen=True)
@@ -107,10 +110,11 @@ def propagate(parameters: Parameters, function: Callable[[Models], Array]) -> tu
     for axis in factor.T:
         if not axis.any():
             continue
+        step = min(_STEP, _MAX_STEP / float(np.max(np.abs(axis) / (1.0 + np.abs(parameters.values)))))
         ahead, behind = (
-            function(parameters.build(parameters.values + sign * _STEP * axis)) for sign in (1.0, -1.0)
+            function(parameters.build(parameters.values + sign * step * axis)) for sign in (1.0, -1.0)
         )
-        slopes.append((ahead - behind) / (2.0 * _STEP))
+        slopes.append((ahead - behind) / (2.0 * step))
     J = np.array(slopes).reshape(-1, len(at_estimate))
     return at_estimate, J.T @ J
 

@@ -23,7 +23,7 @@ MAX_FIT_LOSS = 10.0
 """Difference in per cent between the fits on estimation and validation data above which it is reported."""
 EXPLAINED_PERCENT = 90.0
 """Fit below which an error that the sensor does not explain is reported."""
-MAX_NOISE_RATIO = 20.0
+MAX_NOISE_RATIO = 10.0
 """Ratio of the model's error to the sensor's noise above which it is reported."""
 SWAPPED_GAIN = 20.0
 """Fit in per cent by which a model from y to u must be better than that from u to y to show swapped

@@ -34,6 +34,8 @@ GAIN_FACTORS = {
 """Ratio of the gain to the known one, and what would explain it."""
 TIME_FACTORS = (1e-3, 1.0 / 60.0, 0.1, 0.5, 2.0, 10.0, 60.0, 1e3)
 """Ratios of the speed to the known one that a wrong sample time explains."""
+MAX_GAIN_CHANGE = 3.0
+"""Ratio of the gain to the known one, or its inverse, above which the gain is reported without a reason."""
 _AGREEMENT = 0.25
 """Relative difference up to which a ratio counts as one of these."""
 
@@ -147,19 +149,19 @@ def check_known_plant(
         return
     first, T = estimate.experiments[0], estimate.discrete.sample_time_s
     ratio = estimate.discrete.gain / expected.plant.gain if expected.plant.gain else np.nan
-    for factor, reason in GAIN_FACTORS.items():
-        if abs(ratio / factor - 1.0) < _AGREEMENT:
-            yield Finding(
-                kind=Kind.UNITS,
-                severity=Severity.WARN,
-                record=first.name,
-                signal=first.names.y,
-                figure=ratio,
-                limit=1.0,
-                unit="",
-                text=f"the gain is {ratio:.4g} times that of the known plant",
-                remedy=f"check: {reason}",
-            )
+    reason = _reason_of_gain(ratio)
+    if reason:
+        yield Finding(
+            kind=Kind.UNITS,
+            severity=Severity.WARN,
+            record=first.name,
+            signal=first.names.y,
+            figure=ratio,
+            limit=1.0,
+            unit="",
+            text=f"the gain is {ratio:.4g} times that of the known plant",
+            remedy=f"check: {reason}",
+        )
     before = np.sort(np.abs(expected.plant.poles))
     after = np.sort([abs(root.value) for root in properties.poles])
     if len(before) != len(after) or not (before > 0.0).all():
@@ -177,3 +179,13 @@ def check_known_plant(
             text=f"with a sample time of {T:g} s the plant is {speed:.4g} times as fast as the known one",
             remedy="check the sample time and its unit (seconds)",
         )
+
+
+def _reason_of_gain(ratio: float) -> str:
+    """What explains this ratio of the gain to the known one. Empty if the ratio is not surprising."""
+    for factor, reason in GAIN_FACTORS.items():
+        if abs(ratio / factor - 1.0) < _AGREEMENT:
+            return reason
+    if 1.0 / MAX_GAIN_CHANGE < ratio < MAX_GAIN_CHANGE or np.isnan(ratio):
+        return ""
+    return "units, signs and channels of both signals; is it the same plant?"

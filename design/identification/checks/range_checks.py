@@ -45,7 +45,10 @@ def check_input_range(experiment: Experiment, expected: Expectations) -> Iterato
                 f"it reaches {outside:.4g} {names.u_unit}, but the actuator takes {low:g} to {high:g} "
                 f"{names.u_unit}{_guess(outside, low, high)}"
             ),
-            remedy="give it in the right unit, as an offset from the actuator's centre",
+            remedy=(
+                "give it in the right unit, as an offset from the actuator's centre; if the actuator limited "
+                "it, record the limited value"
+            ),
         )
         return
     margin = 1e-6 * (high - low)

@@ -124,6 +124,8 @@ class Experiment:
 def _column(values: ArrayLike, record: str, signal: str) -> Array:
     """A copy as floats, NaN for everything that is not finite. Raises DesignError."""
     try:
+        if np.iscomplexobj(values):
+            raise TypeError
         column = np.array(values, dtype=float)
     except (TypeError, ValueError):
         raise DesignError(f"{record}: {signal} must be an array of real numbers") from None
