@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from hil.core.errors import DocumentError
-from hil.host.command_parser import CommandParser
+from hil.host.command_parser import CommandParser, number
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,7 +57,7 @@ def parser() -> CommandParser:
     )
     command.add_argument("--drift", action="store_true", help="estimate a slow drift of the output")
     command.add_argument("--columns", default=COLUMNS, metavar="T,U,Y", help=f"columns (default {COLUMNS})")
-    command.add_argument("--sample-time", type=float, metavar="S", help="sample time of a table in s")
+    command.add_argument("--sample-time", type=number, metavar="S", help="sample time of a table in s")
     command.add_argument("--unit", choices=("m", "rad"), help="unit of y in a table (default m)")
     command.add_argument("--name", metavar="NAME", help="name of the plant (default: the axis)")
     command.add_argument("-o", "--output", type=Path, metavar="FILE", help="plant file")
@@ -72,7 +73,7 @@ def main(argv: list[str]) -> int:
     options = parser().parse_args(argv)
     from rich.console import Console
 
-    from design.identification.findings import RecordRefusedError
+    from design.identification.findings import RecordRefusedError, most_severe_first
     from design.identified_plant import identified_plant
     from design.output.identification_report import write_identification_report
     from hil.core.documents import to_json
@@ -90,6 +91,8 @@ def main(argv: list[str]) -> int:
         identification, table = _identify(fitted, validation, options)
     except RecordRefusedError as refused:
         raise DocumentError(f"no model was written:\n{refused}") from None
+    found = [finding for record in fitted + validation for finding in record.findings]
+    identification = replace(identification, findings=most_severe_first([*identification.findings, *found]))
     plant = identified_plant(
         identification,
         name=name,

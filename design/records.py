@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import csv
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from design.identification.checks.expectations import Expectations
 from design.identification.findings import Finding
@@ -30,6 +31,7 @@ from design.mathematics.polynomials import Array
 from hil.core.errors import DocumentError
 from hil.core.phase import Phase
 from hil.core.suggestions import did_you_mean
+from hil.core.wire.codec import RPDO1_DAC, SYNC
 from hil.host.text_file import read_text
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from hil.core.rig import Rig
     from hil.recording.reader import Recording
 
+IntArray = NDArray[np.int64]
 COLUMNS = ("time_s", "u", "y")
 MAX_LATENESS = 0.1
 """Share of a period by which SYNC may be late. A later sample is off the grid and does not count."""
@@ -101,7 +104,7 @@ def _from_recording(path: Path, axis: str | None) -> Record:
         recording = open_recording(path)
     except RecordingError as error:
         raise DocumentError(str(error)) from None
-    texts = {name: data.decode() for name, data in recording.attachments.items()}
+    texts = {name: data.decode("utf-8", "replace") for name, data in recording.attachments.items()}
     if "rig.toml" not in texts:
         raise DocumentError(f"{path}: the recording has no rig.toml; it cannot be identified from")
     rig = read_rig(texts["rig.toml"], f"{path}: rig.toml")
@@ -142,11 +145,14 @@ def _experiment(recording: Recording, rig: Rig, axis: str, name: str, is_excited
     good = table.fresh[rows] & on_time
     length = int(number[-1]) + 1
     u, y, weights = np.full(length, np.nan), np.full(length, np.nan), np.zeros(length)
-    u[number] = table.command_v[rows] - rig.axes[axis].valve.centre_v
+    u[number] = (
+        _acting_v(recording, timing.wake_ns, table.command_v, rig)[rows] - rig.axes[axis].valve.centre_v
+    )
     y[number] = np.where(good, table.position[rows], np.nan)
     weights[number] = counts[rows] & good
+    is_whole = recording.messages_dropped == 0
     return Experiment(
-        _held(u),
+        _held(u) if is_whole else u,  # a hole may then be messages that are missing in the file
         y,
         rig.loop.period_s,
         weights=weights,
@@ -154,6 +160,27 @@ def _experiment(recording: Recording, rig: Rig, axis: str, name: str, is_excited
         names=Names("valve", axis, "V", rig.axes[axis].unit),
         transport_delay_samples=1 if rig.dac.apply == "at sync" else 0,
     )
+
+
+def _acting_v(recording: Recording, wake_ns: IntArray, command_v: Array, rig: Rig) -> Array:
+    """Return the valve voltage of each period as the board has it.
+
+    A command that the bus refused never reached the board. A board that applies at SYNC keeps its voltage in
+    a period without SYNC.
+    """
+    acting = command_v.copy()
+    refused = recording.frames("refused", RPDO1_DAC).time_ns
+    keeps = np.zeros(len(acting), dtype=bool)
+    keeps[np.clip(np.searchsorted(wake_ns, refused, side="right") - 1, 0, len(acting) - 1)] = True
+    if rig.dac.apply == "at sync":
+        sync = recording.frames("sent", SYNC).time_ns
+        has_sync = np.zeros(len(acting), dtype=bool)
+        has_sync[np.clip(np.searchsorted(wake_ns, sync, side="right") - 1, 0, len(acting) - 1)] = True
+        keeps[:-1] |= ~has_sync[1:]  # the command of a period acts from the next SYNC on
+    for place in np.flatnonzero(keeps):
+        if place > 0:
+            acting[place] = acting[place - 1]
+    return acting
 
 
 def _held(u: Array) -> Array:
@@ -168,7 +195,7 @@ def _conditions(recording: Recording, collected: Collected | None) -> dict[str, 
     if collected is not None:
         found |= {
             "mode": collected.mode,
-            "excitation": type(collected.signal).__name__.lower(),
+            "excitation": str(collected.signal.__struct_config__.tag),
             "amplitude": getattr(collected.signal, "amplitude", float("nan")),
             "centre": collected.centre,
         }
@@ -187,15 +214,33 @@ def _conditions(recording: Recording, collected: Collected | None) -> dict[str, 
 Columns = tuple[Array, Array, Array]
 
 
+class Rows(Protocol):
+    """The rows of a CSV file, with the line that was read last."""
+
+    line_num: int
+
+    def __iter__(self) -> Iterator[list[str]]: ...
+    def __next__(self) -> list[str]: ...
+
+
 def _csv(path: Path, columns: tuple[str, str, str], sample_time_s: float | None) -> Columns:
     rows = csv.reader(read_text(path, MAX_CSV_BYTES).splitlines())
+    try:
+        return _csv_columns(path, rows, columns, sample_time_s)
+    except csv.Error as error:
+        raise DocumentError(f"{path}: line {rows.line_num}: not a CSV file: {error}") from None
+
+
+def _csv_columns(
+    path: Path, rows: Rows, columns: tuple[str, str, str], sample_time_s: float | None
+) -> Columns:
     header = next((row for row in rows if row and not row[0].lstrip().startswith("#")), None)
     if header is None:
         raise DocumentError(f"{path}: the file is empty")
     names = [cell.strip() for cell in header]
     places = _places(path, names, columns, sample_time_s)
     values: list[list[float]] = [[] for _ in places]
-    for number, row in enumerate(rows, start=2):
+    for row in rows:
         if not row or row[0].lstrip().startswith("#"):
             continue
         for column, place in zip(values, places, strict=True):
@@ -204,7 +249,7 @@ def _csv(path: Path, columns: tuple[str, str, str], sample_time_s: float | None)
                 column.append(float(cell) if cell else np.nan)
             except ValueError:
                 raise DocumentError(
-                    f"{path}: row {number}: {names[place]} is {cell!r}, not a number; leave a gap empty"
+                    f"{path}: line {rows.line_num}: {names[place]} is {cell!r}, not a number"
                 ) from None
     return _with_time(path, [np.array(column) for column in values], sample_time_s)
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.core.errors import DocumentError, HilError
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser
+from hil.host.command_parser import CommandParser, number
 
 if TYPE_CHECKING:
     from design.tuning import Job
@@ -40,10 +42,10 @@ def parser() -> CommandParser:
     command = CommandParser(prog="hil tune", description=DESCRIPTION, epilog=EPILOG)
     command.add_argument("--axis", required=True, metavar="AXIS", help="axis to tune")
     command.add_argument(
-        "--amplitude", type=float, default=0.4, metavar="V", help="of the excitation (default 0.4)"
+        "--amplitude", type=number, default=0.4, metavar="V", help="of the excitation (default 0.4)"
     )
     command.add_argument(
-        "--duration", type=float, default=60.0, metavar="S", help="of an experiment (default 60)"
+        "--duration", type=number, default=60.0, metavar="S", help="of an experiment (default 60)"
     )
     command.add_argument(
         "--structure", default="OE(1,3,1)", metavar="TEXT", help="model structure, see hil identify"
@@ -51,7 +53,7 @@ def parser() -> CommandParser:
     command.add_argument("--design", metavar="FILE", help="design file (default: that of hil design --init)")
     command.add_argument("--conditions", type=Path, metavar="FILE", help="conditions, TOML, see below")
     command.add_argument(
-        "--step", type=float, metavar="Y", help="step of the verification (default 0.1 m, 0.5 rad)"
+        "--step", type=number, metavar="Y", help="step of the verification (default 0.1 m, 0.5 rad)"
     )
     command.add_argument(
         "--controller", metavar="FILE", help="controller during the experiments (rig file's)"
@@ -69,6 +71,24 @@ def main(argv: list[str]) -> int:
     """Run ``hil tune`` and return the exit status. Raises HilError where a step fails."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = parser().parse_args(argv)
+    from design.tuning import ExperimentError
+
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        return _tune(options)
+    except ExperimentError as error:
+        sys.stderr.write(f"hil tune: {error}\n")
+        return 1
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _interrupt(*_signal: object) -> None:
+    """End as Ctrl-C does, so that a running experiment centres the valves."""
+    raise KeyboardInterrupt
+
+
+def _tune(options: argparse.Namespace) -> int:
     from rich.console import Console
 
     from design import tuning
@@ -85,6 +105,7 @@ def main(argv: list[str]) -> int:
             f"{did_you_mean(options.axis, axes)}"
         )
     job = _job(options)
+    tuning.check(job)
     directory: Path = options.out or Path("tuning") / job.axis
     resumed = tuning.claim_folder(directory, job)
 
@@ -145,6 +166,11 @@ def _job(options: argparse.Namespace) -> Job:
         design=options.design,
         step=options.step,
         controller=options.controller,
+        digests={
+            name: hashlib.sha256(Path(name).read_bytes()).hexdigest()
+            for name in (options.rig, options.controller, options.design)
+            if name is not None and Path(name).is_file()
+        },
     )
 
 
@@ -153,4 +179,4 @@ def _confirm(question: str) -> None:
     if not sys.stdin.isatty():
         raise HilError("there is no terminal to ask on; give --yes to let the axis move")
     if input(f"{question} Type yes to go on: ").strip().lower() != "yes":
-        raise HilError("not confirmed; nothing was moved. The same command goes on from here")
+        raise HilError("not confirmed; nothing more is moved. The same command goes on from here")

@@ -7,7 +7,9 @@ that they go through the gateway exactly as those of a user.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -36,6 +38,8 @@ SETTLING_FACTOR = 1.5
 """Without a design file, an infeasible settling time is lengthened by this factor…"""
 MAX_LENGTHENINGS = 4
 """… at most so many times. The report says which limit was used."""
+END_TIMEOUT_S = 10.0
+"""Time in which an experiment must end, valves centred, after it was interrupted."""
 MAX_VERIFICATIONS = 3
 """Controllers that are tried on the rig at most, each with a longer settling time than the one before."""
 SETTLE_S = 4.0
@@ -67,6 +71,10 @@ REAL_CONDITIONS = (
 )
 
 
+class ExperimentError(HilError):
+    """An experiment on the rig failed, or did not give all that was asked for."""
+
+
 def read_conditions(path: Path) -> list[Condition]:
     """Read a file of conditions. Raises DocumentError."""
     conditions = from_toml(read_text(path), Conditions, str(path)).condition
@@ -74,6 +82,34 @@ def read_conditions(path: Path) -> list[Condition]:
     if len(set(names)) < len(names):
         raise DocumentError(f"{path}: condition: two conditions have the same name; each needs its own")
     return conditions
+
+
+def check(job: Job) -> None:
+    """Read everything that the tuning needs, and check it, before anything moves. Raises HilError."""
+    from design.identification.models.structures import parse_structure
+    from design.inputs import load_design
+    from hil.shells.run_setup import load_controller, load_rig
+
+    parse_structure(job.structure)
+    if job.design is not None:
+        load_design(job.design)
+    if job.controller is not None:
+        load_controller(job.controller)
+    axis = load_rig(job.rig).axes[job.axis]
+    low, high = axis.fence_limits
+    half = 0.5 * (job.step if job.step is not None else DEFAULT_STEP[axis.unit])
+    for condition in job.conditions:
+        if not low <= condition.centre - abs(half) <= condition.centre + abs(half) <= high:
+            raise DocumentError(
+                f"condition {condition.name}: a step of {2.0 * half:g} {axis.unit} about {condition.centre:g}"
+                " "
+                f"{axis.unit} leaves the travel fence, {low:g} to {high:g} {axis.unit}; change --step or centre"
+            )
+        if job.bus is not None and condition.events and not condition.instruction:
+            raise DocumentError(
+                f"condition {condition.name}: events happen to the simulated arm only; on {job.bus}, give an "
+                "instruction that says what to do to the rig"
+            )
 
 
 def claim_folder(directory: Path, job: Job) -> bool:
@@ -104,6 +140,7 @@ def collect(job: Job, directory: Path, say: Say, ask: Ask) -> list[tuple[Conditi
         paths = [directory / f"{condition.name}-{seed}.mcap" for seed in (ESTIMATION_SEED, VALIDATION_SEED)]
         missing = [path for path in paths if not path.exists()]
         if missing and job.bus is not None:
+            _show([*_collect_command(job, condition, ESTIMATION_SEED), "--dry-run"])
             ask(f"Condition {condition.name}. {condition.instruction} Then {job.axis} will be excited.")
         for path, seed in zip(paths, (ESTIMATION_SEED, VALIDATION_SEED), strict=True):
             if path in missing:
@@ -246,8 +283,7 @@ def _collect_command(job: Job, condition: Condition, seed: int) -> list[str]:
         repr(job.amplitude),
         "--duration",
         repr(job.duration_s),
-        "--centre",
-        repr(condition.centre),
+        f"--centre={condition.centre!r}",
         "--seed",
         str(seed),
         *([] if job.controller is None else ["--controller", f"{job.axis}={job.controller}"]),
@@ -290,20 +326,48 @@ def _experiment(path: Path, command: list[str]) -> None:
     Raises HilError with what the command said where it failed.
     """
     partial = path.with_name(f"partial-{path.name}")
-    partial.unlink(missing_ok=True)
+    plot = partial.with_suffix(".png")
+    for left in (partial, plot):
+        left.unlink(missing_ok=True)
     target = ["-o" if command[0] == "collect" else "--record", str(partial)]
     yes = ["--yes"] if command[0] == "collect" else []
-    # -P: modules in the working directory are not imported.
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "hil.cli", *command, *target, *yes],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode != 0:
-        said = (done.stderr or done.stdout).strip()
-        raise HilError(f"`hil {' '.join(command)}` failed with exit status {done.returncode}:\n{said}")
-    plot = partial.with_suffix(".png")
+    status, said = _run([*command, *target, *yes], captured="--lockstep" in command)
+    if status != 0:
+        raise ExperimentError(
+            f"`hil {' '.join(command)}` ended with exit status {status}; its recording is {partial}"
+            + (f":\n{said}" if said else "")
+        )
     if plot.exists():
         plot.rename(path.with_suffix(".png"))
     partial.rename(path)
+
+
+def _show(command: list[str]) -> None:
+    """Run a command that moves nothing, with its output on the terminal. Raises ExperimentError."""
+    status, _ = _run(command, captured=False)
+    if status != 0:
+        raise ExperimentError(
+            f"`hil {' '.join(command)}` failed with exit status {status}; nothing was moved"
+        )
+
+
+def _run(command: list[str], *, captured: bool) -> tuple[int, str]:
+    """Run a command of hil. Return its exit status and what it said, if that was captured.
+
+    If this program is interrupted or terminated, the command is ended first, so that it centres the valves.
+    """
+    # -P: modules in the working directory are not imported.
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "hil.cli", *command],
+        stdout=subprocess.PIPE if captured else None,
+        stderr=subprocess.PIPE if captured else None,
+        text=True,
+    )
+    try:
+        out, err = process.communicate()
+    except BaseException:
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.communicate(timeout=END_TIMEOUT_S)
+        raise
+    return process.returncode, (err or out or "").strip()

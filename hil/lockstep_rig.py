@@ -207,10 +207,14 @@ def run_experiment(
 
     from firmware_sim.simulated_plant import plant_texts
     from hil.cli.launch import run_lockstep
-    from hil.cli.run import parser
+    from hil.cli.run import MAX_DURATION_S, parser
     from hil.recording.reader import Recording
     from hil.shells.run_plan import RunPlan
 
+    if not 0.0 < duration_s <= MAX_DURATION_S:
+        raise HilError(f"duration_s is {duration_s:g} s, but must be over 0 and at most {MAX_DURATION_S:g} s")
+    if seed < 0:
+        raise HilError(f"seed is {seed}, but must be 0 or more")
     arguments = ["--lockstep", "--seed", str(seed)]
     for option, given in (("--plant", plants or {}),):
         arguments += [part for name, value in given.items() for part in (option, f"{name}={value}")]

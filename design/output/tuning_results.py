@@ -70,6 +70,8 @@ class Job(Document, frozen=True):
     design: str | None = None
     step: float | None = None
     controller: str | None = None
+    digests: dict[str, str] = msgspec.field(default_factory=dict)
+    """SHA-256 of the rig, controller and design file: a folder is resumed with the same contents only."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from firmware_sim.plant_options import add_plant_options, check_plant_options
 from firmware_sim.simulated_plant import plant_texts
 from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
 from hil.cli.record_path import create_folder_of, recording_path
-from hil.cli.run import by_axis, duration_argument
+from hil.cli.run import by_axis, chosen_bus, duration_argument
 from hil.core.documents import to_json
 from hil.core.errors import DocumentError, HilError
 from hil.core.excitation import KINDS, Signal, read_table, samples
@@ -29,7 +29,7 @@ from hil.core.phase import Phase
 from hil.core.rig import Rig
 from hil.core.setpoints import HOLD
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser
+from hil.host.command_parser import CommandParser, number
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 from hil.shells.run_plan import Ending, RunPlan
 from hil.shells.run_setup import RunSetup, load_rig, load_setup
@@ -83,7 +83,7 @@ class Collected:
     gaps: int
     """Periods under excitation without a good sample."""
     lowest: float
-    """Lowest position under excitation, in the axis' unit."""
+    """Lowest position of the whole experiment in the axis' unit, with the paths to and from the centre."""
     highest: float
     fence_crossings: int
     offset_v: float
@@ -96,7 +96,7 @@ def parser() -> CommandParser:
     command = CommandParser(prog="hil collect", description=DESCRIPTION, epilog=EPILOG)
     command.add_argument("--axis", required=True, metavar="AXIS", help="axis to excite")
     command.add_argument("--excitation", default="prbs", metavar="KIND", help="see below (default prbs)")
-    command.add_argument("--amplitude", type=float, metavar="V", help="largest deviation (default 0.4)")
+    command.add_argument("--amplitude", type=number, metavar="V", help="largest deviation (default 0.4)")
     command.add_argument(
         "--duration", type=duration_argument, metavar="S", help="seconds of excitation (default 60)"
     )
@@ -110,7 +110,7 @@ def parser() -> CommandParser:
     )
     command.add_argument("--phases", metavar="KIND", help="phases of a multisine: schroeder or random")
     command.add_argument("--sweep", metavar="KIND", help="sweep of a chirp: logarithmic or linear")
-    command.add_argument("--hold", type=float, metavar="S", help="seconds that a step is held (default 2)")
+    command.add_argument("--hold", type=number, metavar="S", help="seconds that a step is held (default 2)")
     command.add_argument(
         "--excite",
         choices=tuple(MODES),
@@ -118,10 +118,10 @@ def parser() -> CommandParser:
         help="valve: open loop; controller: added to its output; setpoint: added to it (default valve)",
     )
     command.add_argument(
-        "--centre", type=float, default=0.0, metavar="Y", help="position to excite about (default 0)"
+        "--centre", type=number, default=0.0, metavar="Y", help="position to excite about (default 0)"
     )
     command.add_argument(
-        "--settle", type=float, default=4.0, metavar="S", help="seconds at rest before (default 4)"
+        "--settle", type=number, default=4.0, metavar="S", help="seconds at rest before (default 4)"
     )
     command.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the shipped example)")
     command.add_argument(
@@ -155,14 +155,16 @@ def main(argv: list[str]) -> int:
     rig = load_rig(options.rig)
     experiment = read_experiment(to_json(_experiment(options, rig)), rig)
     setup = _setup(options, rig, experiment)
-    bus = SIMULATED if options.lockstep else options.bus or rig.bus.channel
+    bus = chosen_bus(options, setup)
     period_s = rig.loop.period_s
     unit = rig.axes[experiment.axis].unit if experiment.mode == "setpoint" else "V"
     crossover = loop_crossover(setup.controllers[experiment.axis])
     values = samples(experiment.signal, period_s)
     console.print(excitation_summary(experiment.signal, values, period_s, unit, crossover))
     if not options.lockstep or options.dry_run:
-        _print_prediction(console, setup, experiment, options)
+        is_predicted = _print_prediction(console, setup, experiment, options)
+        if not is_predicted and bus != SIMULATED:
+            raise HilError("without a prediction no real axis is moved; see hil run --help")
     if options.dry_run:
         return 0
     if bus != SIMULATED and not options.yes:
@@ -174,10 +176,19 @@ def main(argv: list[str]) -> int:
     if report.failure:
         console.print(f"The recording is incomplete: {report.failure}", style="red")
     if plan.ending is not Ending.COMPLETED or not collected.is_complete:
-        console.print(f"The excitation was not given completely; the run ended: {plan.ending}.", style="red")
+        console.print(f"The excitation was not given completely: {_reason(plan, collected)}.", style="red")
         return 1
     console.print(f"next        hil identify {report.path} --axis {experiment.axis}")
     return 1 if report.failure else 0
+
+
+def _reason(plan: RunPlan, collected: Collected) -> str:
+    """Return why an experiment ended early."""
+    if plan.ending is not Ending.COMPLETED:
+        return f"the run ended: {plan.ending}"
+    if collected.fence_crossings:
+        return f"the fence acted {collected.fence_crossings} times; reduce --amplitude, or widen the fence"
+    return "the axis did not come to rest near its centre; check its controller"
 
 
 def read_collected(path: Path, experiment: Experiment) -> Collected:
@@ -187,7 +198,8 @@ def read_collected(path: Path, experiment: Experiment) -> Collected:
     recording = Recording(path)
     axis = recording.axis(experiment.axis)
     excited = axis["phase"] == Phase.EXCITED
-    position = axis["position"][excited & axis["fresh"]]
+    moved = axis["phase"] != Phase.NONE
+    position = axis["position"][moved & axis["fresh"]]
     ending = recording.metadata.get("ending", {})
     return Collected(
         excited=int((excited & axis["fresh"]).sum()),
@@ -196,7 +208,7 @@ def read_collected(path: Path, experiment: Experiment) -> Collected:
         highest=float(position.max()) if len(position) else float("nan"),
         fence_crossings=int(ending.get("fence crossings", "0")),
         offset_v=float(ending.get("valve offset, V", "0")),
-        is_complete=ending.get("experiment", "") == Phase.DONE.name.lower(),
+        is_complete=ending.get("experiment", "") == "complete",
     )
 
 
@@ -253,7 +265,14 @@ def _signal(options: argparse.Namespace) -> Signal:
     try:
         return msgspec.convert({"kind": kind, **DEFAULTS, **given}, document)  # type: ignore[return-value]
     except msgspec.ValidationError as error:
-        raise DocumentError(f"--excitation {kind}: {error}") from None
+        raise DocumentError(f"--excitation {kind}: {_in_options(str(error))}") from None
+
+
+def _in_options(problem: str) -> str:
+    """Return msgspec's problem with the option in place of the field's path."""
+    text, _, path = problem.partition(" - at `$.")
+    field = path.rstrip("`")
+    return f"--{_option(field)}: {text[:1].lower()}{text[1:]}" if field else text
 
 
 def _option(field: str) -> str:
@@ -293,20 +312,29 @@ def _record(
 
 def _print_prediction(
     console: Console, setup: RunSetup, experiment: Experiment, options: argparse.Namespace
-) -> None:
-    """Run the experiment in lockstep on the simulated arm, and print the travel."""
+) -> bool:
+    """Run the experiment in lockstep on the simulated arm, and print the travel. Return whether it is known.
+
+    Raises KeyboardInterrupt if the user interrupted it.
+    """
     with tempfile.TemporaryDirectory() as folder:
         dry = argparse.Namespace(
             **{**vars(options), "lockstep": True, "output": Path(folder) / "dry-run.mcap"}
         )
         try:
-            report, _ = _record(setup, experiment, SIMULATED, dry)
+            report, plan = _record(setup, experiment, SIMULATED, dry)
+            if plan.ending is Ending.INTERRUPTED:
+                raise KeyboardInterrupt
             predicted = read_collected(report.path, experiment)
         except HilError as error:
             console.print(f"prediction  not possible: {error}", style="yellow")
-            return
+            return False
     text, stays = _travel_text(predicted, experiment, setup.rig)
     console.print(f"prediction  simulated arm: {text}", style=None if stays else "yellow")
+    if not predicted.is_complete:
+        reason = _reason(plan, predicted)
+        console.print(f"prediction  the excitation would not be given completely: {reason}", style="yellow")
+    return True
 
 
 def _print_collected(console: Console, collected: Collected, experiment: Experiment, rig: Rig) -> None:

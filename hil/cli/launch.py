@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Iterator
@@ -209,6 +210,9 @@ def _boards_process(spec: str, options: argparse.Namespace) -> Iterator[None]:
 def _stop_on_signals() -> Iterator[StopRequest]:
     """Let signals end the run in good order until the recording is closed; then they end the program."""
     stop = StopRequest()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop  # only the main thread may have signal handlers
+        return
     before = {number: signal.signal(number, stop.set) for number in STOP_SIGNALS}
     try:
         yield stop

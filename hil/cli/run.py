@@ -98,7 +98,7 @@ def main(argv: list[str]) -> int:
     check_plant_options(options)
     scenario, scenario_text = _scenario(options)
     setup = _setup(options, scenario, scenario_text)
-    bus = _bus(options, setup)
+    bus = chosen_bus(options, setup)
     if bus == SIMULATED:
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
     elif scenario is not None and scenario.events:
@@ -137,7 +137,7 @@ def _exit_status(ending: Ending | None, report: RecorderReport) -> int:
     return 0 if ending in (Ending.COMPLETED, Ending.INTERRUPTED) and not report.failure else 1
 
 
-def _bus(options: argparse.Namespace, setup: RunSetup) -> str:
+def chosen_bus(options: argparse.Namespace, setup: RunSetup) -> str:
     """Return the bus to run on. Raises LinkError or DocumentError."""
     bus: str = SIMULATED if options.lockstep else options.bus or setup.rig.bus.channel
     if bus == "pty":

@@ -214,7 +214,7 @@ def m_sequence(base: int, length: int, seed: int) -> list[int]:
 
 def _periods(duration_s: float, period_s: float) -> int:
     """Return the number of periods in a duration. Raises DocumentError for none, or too many."""
-    count = round(duration_s / period_s)
+    count = round(duration_s / period_s) if math.isfinite(duration_s) and duration_s < 1e9 else 0
     if not 2 <= count <= MAX_SAMPLES:
         raise DocumentError(
             f"excitation: duration {duration_s:g} s is {count} periods of {period_s:g} s; "

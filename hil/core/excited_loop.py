@@ -29,6 +29,11 @@ from hil.core.control_law import ControlLaw
 from hil.core.experiment import Experiment
 from hil.core.phase import Phase
 
+MAX_FENCE_CROSSINGS = 20
+"""The experiment ends with this crossing of the fence: the excitation is too large for the axis."""
+MAX_SETTLE_FACTOR = 5.0
+"""The experiment ends if the axis is not near its centre after this many times the settling time."""
+
 
 class Fence(NamedTuple):
     """Positions, in the axis' unit, beyond which an excited axis goes back under its controller."""
@@ -61,8 +66,13 @@ class ExcitedLoop:
 
     @property
     def is_done(self) -> bool:
-        """True when the excitation has been given and the axis is back in its centre."""
+        """True when the experiment is over and the axis is back in its centre."""
         return self.phase is Phase.DONE
+
+    @property
+    def is_complete(self) -> bool:
+        """True when, besides, every value of the excitation was given."""
+        return self.is_done and self._index >= len(self._values)
 
     @property
     def follows_setpoint(self) -> bool:
@@ -86,7 +96,8 @@ class ExcitedLoop:
                     f"fence_max_y): its controller brings it back, crossing {self.fence_crossings}"
                 )
             case Phase.RETURN:
-                return f"all {len(self._values)} values are given; {axis} returns to its centre"
+                given = f"{self._index} of {len(self._values)} values are given"
+                return f"{given}; {axis} returns to its centre"
             case Phase.DONE:
                 return "the experiment is done"
             case _:
@@ -95,7 +106,7 @@ class ExcitedLoop:
     def outcome(self) -> dict[str, str]:
         """Return how far the experiment came, as texts for the recording's metadata."""
         return {
-            "experiment": self.phase.name.lower(),
+            "experiment": "complete" if self.is_complete else self.phase.name.lower(),
             "values given": f"{self._index} of {len(self._values)}",
             "valve offset, V": repr(self.offset_v),
             "fence crossings": str(self.fence_crossings),
@@ -105,6 +116,8 @@ class ExcitedLoop:
         """Take over at position ``y`` with the valve at its centre."""
         self._index = 0
         self._offset_known = False
+        self._applied.clear()
+        self.offset_v = 0.0
         self.fence_crossings = 0
         self._law.initialise(y, y, 0.0)
         self._enter(Phase.APPROACH, t, y)
@@ -143,16 +156,24 @@ class ExcitedLoop:
             case Phase.APPROACH | Phase.RECOVER if elapsed >= self._experiment.approach_s:
                 self._applied.clear()
                 self._enter(Phase.SETTLE, t, self._experiment.centre)
-            case Phase.SETTLE if elapsed >= self._experiment.settle_s:
+            case Phase.SETTLE if elapsed >= self._experiment.settle_s and self._is_near_centre(y):
                 self._measure_offset()
                 self._enter(Phase.EXCITED, t, y)
+            case Phase.SETTLE if elapsed >= MAX_SETTLE_FACTOR * self._experiment.settle_s:
+                self._enter(Phase.RETURN, t, y)
             case Phase.EXCITED if not self._fence.min_y <= y <= self._fence.max_y:
                 self.fence_crossings += 1
-                self._take_back(Phase.RECOVER, t, y)
+                is_last = self.fence_crossings >= MAX_FENCE_CROSSINGS
+                self._take_back(Phase.RETURN if is_last else Phase.RECOVER, t, y)
             case Phase.EXCITED if self._index >= len(self._values):
                 self._take_back(Phase.RETURN, t, y)
             case Phase.RETURN if elapsed >= self._experiment.approach_s + self._experiment.settle_s:
                 self._enter(Phase.DONE, t, self._experiment.centre)
+
+    def _is_near_centre(self, y: float) -> bool:
+        """Return whether ``y`` is in the inner half of the fence, so that the excitation may begin there."""
+        centre = self._experiment.centre
+        return 0.5 * (self._fence.min_y - centre) <= y - centre <= 0.5 * (self._fence.max_y - centre)
 
     def _measure_offset(self) -> None:
         """Take the mean of the second half; later pauses do not move the offset of an experiment."""

@@ -189,6 +189,7 @@ class Gateway:
                 )
             )
         self._loops.restart()
+        self._reported_phase = Phase.NONE
         return combine(self._state.enter(Trigger.START), Output(log=self._disabled_checks))
 
     # The end of a period and the beginning of the next

@@ -7,6 +7,7 @@
 ``minimum-jerk:SIZE@TIME/DURATION``   as a ramp, along 10 t^3 - 15 t^4 + 6 t^5 (Flash and Hogan 1985)
 ``sine:AMPLITUDE@TIME/PERIOD``        0, and AMPLITUDE sin(2 pi (t - TIME)/PERIOD) from TIME on
 ``csv:FILE``                          columns time_s,setpoint; straight lines between the rows
+``hold``                              the position at which the axis was when control began
 ====================================  =================================================================
 
 Sizes are in the axis' unit. Before the first row of a CSV file the first value holds, after the last row the

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import sys
 import textwrap
@@ -10,6 +11,17 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from hil.core.suggestions import did_you_mean
+
+
+def number(text: str) -> float:
+    """Return a finite number from the text of an argument."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number")
+    return value
 
 
 class CommandParser(argparse.ArgumentParser):

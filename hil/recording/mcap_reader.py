@@ -11,6 +11,7 @@ decompressed when the file is opened: its own CRC is checked, and its records ar
 
 from __future__ import annotations
 
+import stat
 import struct
 import zlib
 from collections.abc import Iterator
@@ -87,6 +88,8 @@ class McapContents:
         self._chunks: list[_Chunk] = []
         self._decompressor = zstandard.ZstdDecompressor()
         try:
+            if not stat.S_ISREG(path.stat().st_mode):
+                raise RecordingError(f"{path}: not a regular file")
             content = path.read_bytes()
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
