@@ -138,7 +138,7 @@ def test_a_broken_wire_is_a_fault_with_its_cause(tmp_path: Path, capsys: pytest.
     assert main(arguments) == 1
     printed = capsys.readouterr().out
     assert (
-        "rotation: potentiometer 0.000 V, allowed 0.1 to 9.9 V (rig: axes.rotation.potentiometer)" in printed
+        "rotation: potentiometer 0.000 V outside 0.1 to 9.9 V (rig: axes.rotation.potentiometer)" in printed
     )
     assert Recording(path).axis("rotation")["command_v"][-1] == 5.0
 
@@ -184,7 +184,7 @@ def test_an_event_reaches_the_boards_in_their_own_process(
     path = tmp_path / "wire.mcap"
     arguments = ["run", "--record", str(path), "--duration", "20", "--event", "broken-wire:rotation@1"]
     assert main(arguments) == 1
-    assert "rotation: potentiometer 0.000 V, allowed 0.1 to 9.9 V" in capsys.readouterr().out
+    assert "rotation: potentiometer 0.000 V outside 0.1 to 9.9 V" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

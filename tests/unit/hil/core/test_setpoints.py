@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from support.constants import PERIOD_NS
 
 from hil.core.errors import SetpointError
-from hil.core.setpoints import FORMS, check_within, csv_file, parse_setpoint
+from hil.core.setpoints import FORMS, check_speed, check_within, csv_file, parse_setpoint
 
 
 def at(text: str, t: float, csv_text: str = "") -> float:
@@ -164,6 +164,46 @@ class TestRange:
     def test_an_axis_whose_range_lacks_0_refuses_a_setpoint_that_begins_at_0(self) -> None:
         with pytest.raises(SetpointError, match=r"reaches 0 m, beyond 0\.05 m \(rig: axes\.z\.min_y\)"):
             check_within(parse_setpoint("step:0.1@1"), "z", 0.05, 0.15, "m")
+
+
+class TestSpeed:
+    @pytest.mark.parametrize(
+        ("text", "speed"),
+        [
+            ("step:0.1@1", 0.0),
+            ("ladder:0.1,-0.1@1/0.001", 0.0),
+            ("hold", 0.0),
+            ("ramp:-0.1@1/0.5", 0.2),
+            ("minimum-jerk:0.1@1/0.5", 0.375),
+            ("sine:-0.1@0/2", 0.1 * math.pi),
+        ],
+    )
+    def test_the_largest_speed_between_jumps(self, text: str, speed: float) -> None:
+        assert parse_setpoint(text).max_speed == pytest.approx(speed)
+
+    @given(st.sampled_from(["ramp", "minimum-jerk", "sine"]), st.floats(-1, 1), st.floats(0, 6))
+    def test_no_form_is_faster_than_it_says(self, kind: str, size: float, t: float) -> None:
+        setpoint, dt = parse_setpoint(f"{kind}:{size:.6f}@1/3"), 1e-4
+        way = abs(setpoint.at(t + dt) - setpoint.at(t))
+        crosses_the_start = t < 1.0 < t + dt
+        assert crosses_the_start or way <= setpoint.max_speed * dt + 1e-12
+
+    def test_rows_of_a_table_with_the_same_time_are_a_jump(self) -> None:
+        rows = "0,0\n1,0.1\n1,-0.1\n3,0.3\n"
+        assert parse_setpoint("csv:r.csv", rows).max_speed == pytest.approx(0.2)
+
+    def test_a_speed_at_the_limit_is_accepted(self) -> None:
+        check_speed(parse_setpoint("ramp:0.5@1/0.5"), "vertical", 1.0, "m")
+
+    @pytest.mark.parametrize("text", ["ramp:0.5@1/0.499", "sine:0.1@0/0.001", "csv:r.csv"])
+    def test_a_faster_setpoint_is_refused(self, text: str) -> None:
+        setpoint = parse_setpoint(text, "0,0\n1e-300,1e-3\n")
+        with pytest.raises(SetpointError) as caught:
+            check_speed(setpoint, "vertical", 1.0, "m")
+        assert str(caught.value) == (
+            f"vertical: setpoint {text!r} moves at up to {setpoint.max_speed:.4g} m/s, limit 1 m/s "
+            "(rig: axes.vertical.envelope.max_speed); give it more time, or use steps"
+        )
 
 
 @pytest.mark.parametrize(

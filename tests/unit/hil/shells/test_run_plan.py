@@ -124,6 +124,14 @@ class TestEnding:
         assert run.triggers == []
         assert run.number == CENTRING_PERIODS
 
+    def test_a_refused_start_ends_the_run(self) -> None:
+        run = PlannedRun(duration_s=10.0)
+        run.bench = RigBench(make_rig(envelope="max_error = 0.01"), setpoints="step:0.05@0")
+        run.until()
+        assert run.plan.ending is Ending.START_REFUSED
+        assert [trigger for _, trigger in run.triggers] == [Trigger.ARM, Trigger.START]
+        assert set(run.bench.transcript.commands()) == {CENTRED}
+
     def test_a_fault_ends_the_run_without_a_trigger(self) -> None:
         run = PlannedRun(duration_s=10.0)
         run.periods(40)
