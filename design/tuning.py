@@ -101,9 +101,8 @@ def check(job: Job) -> None:
     for condition in job.conditions:
         if not low <= condition.centre - abs(half) <= condition.centre + abs(half) <= high:
             raise DocumentError(
-                f"condition {condition.name}: a step of {2.0 * half:g} {axis.unit} about {condition.centre:g}"
-                " "
-                f"{axis.unit} leaves the travel fence, {low:g} to {high:g} {axis.unit}; change --step or centre"
+                f"condition {condition.name}: a step of {2.0 * half:g} {axis.unit} about {condition.centre:g} "
+                f"leaves the travel fence, {low:g} to {high:g} {axis.unit}; change --step or centre"
             )
         if job.bus is not None and condition.events and not condition.instruction:
             raise DocumentError(

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from hil.cli.record_path import figure_of, picture_of
 from hil.core.errors import HilError
+from hil.core.output import Severity
 from hil.recording.reader import Recording
 from hil.shells.run_plan import Ending
 from hil.views.plots import plot_run
@@ -30,6 +31,8 @@ class _Recorded(NamedTuple):
     """What the recording says about the run; empty where it cannot be read."""
 
     messages: int = 0
+    last_warning: str = ""
+    """Last warning or error in the log."""
     ending: dict[str, str] = {}  # noqa: RUF012  # never changed
     traceback: str = ""
 
@@ -50,7 +53,7 @@ def print_run_report(ending: Ending | None, report: RecorderReport, scenario: Sc
         console.print(text, style="red")
     if ending in AS_PLANNED:
         return
-    console.print(_failure_text(ending, recorded.ending), style="red")
+    console.print(_failure_text(ending, recorded.ending, recorded.last_warning), style="red")
     if recorded.traceback:
         console.print(
             "This is a defect of hil or of a library that it uses. Please report it to the maintainers with "
@@ -67,6 +70,7 @@ def _print_recording(console: Console, report: RecorderReport, scenario: Scenari
         recording = Recording(report.path)
         recorded = _Recorded(
             sum(recording.counts.values()),
+            _last_warning(recording),
             recording.metadata.get("ending", {}),
             recording.metadata.get("error", {}).get("traceback", ""),
         )
@@ -85,7 +89,14 @@ def _print_recording(console: Console, report: RecorderReport, scenario: Scenari
     return recorded
 
 
-def _failure_text(ending: Ending | None, recorded_ending: dict[str, str]) -> str:
+def _last_warning(recording: Recording) -> str:
+    entries = [entry for _, entry in recording.log() if entry.severity >= Severity.WARNING]
+    return f"{entries[-1].source}: {entries[-1].text}" if entries else ""
+
+
+def _failure_text(ending: Ending | None, recorded_ending: dict[str, str], refusal: str) -> str:
+    if ending is Ending.START_REFUSED:
+        return f"The run did not begin. {refusal}"
     if ending is not Ending.NO_BOARDS:
         return f"The run ended by {ending}: {recorded_ending.get('fault', '')}"
     readiness = recorded_ending.get("readiness", "")
