@@ -135,7 +135,8 @@ def _no_fit(estimate: Estimate, own: float, explained: float, record: str) -> Fi
         remedy=(
             "raise the amplitude above friction and noise; check that both channels belong to one axis and "
             "one "
-            "time; for an unstable plant, record in closed loop and choose ARMAX"
+            "time; if the output drifts, estimate the drift; for an unstable plant, record in closed loop "
+            "and choose ARMAX"
         ),
     )
 

@@ -100,7 +100,8 @@ def check_uncertainty(estimate: Estimate, properties: Properties) -> Iterator[Fi
                 f"{100.0 * REFUSED_UNCERTAINTY:g} %)"
             ),
             remedy=(
-                f"check that {first.names.u} acts on {first.names.y}; record longer, or raise the amplitude"
+                f"check that {first.names.u} acts on {first.names.y}; if {first.names.y} drifts, estimate "
+                "the drift; record longer, or raise the amplitude"
             ),
         )
         return
