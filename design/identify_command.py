@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -105,7 +106,7 @@ def main(argv: list[str]) -> int:
     print_identification(console, identification, unit, table)
     console.print(f"plant       {plant_file}")
     console.print(f"report      {report_file}")
-    console.print(f"next        hil design {plant_file}")
+    console.print(f"next        hil design {shlex.quote(str(plant_file))}")
     return 0
 
 

@@ -76,6 +76,9 @@ def main(argv: list[str]) -> int:
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         return _tune(options)
+    except KeyboardInterrupt:
+        sys.stderr.write("hil tune: interrupted; the same command goes on from here\n")
+        return 130
     except ExperimentError as error:
         sys.stderr.write(f"hil tune: {error}\n")
         return 1

@@ -99,10 +99,11 @@ def check(job: Job) -> None:
     low, high = axis.fence_limits
     half = 0.5 * (job.step if job.step is not None else DEFAULT_STEP[axis.unit])
     for condition in job.conditions:
-        if not low <= condition.centre - abs(half) <= condition.centre + abs(half) <= high:
+        centre = condition.centre
+        if not low <= centre - abs(half) <= centre + abs(half) <= high:
             raise DocumentError(
-                f"condition {condition.name}: a step of {2.0 * half:g} {axis.unit} about {condition.centre:g} "
-                f"leaves the travel fence, {low:g} to {high:g} {axis.unit}; change --step or centre"
+                f"condition {condition.name}: a step of {2.0 * half:g} {axis.unit} about {centre:g} leaves "
+                f"the travel fence, {low:g} to {high:g} {axis.unit}; change --step or centre"
             )
         if job.bus is not None and condition.events and not condition.instruction:
             raise DocumentError(

@@ -7,6 +7,7 @@ moves, the spectrum of the excitation is shown, and a lockstep run on the simula
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import tempfile
 from dataclasses import dataclass, replace
@@ -178,7 +179,7 @@ def main(argv: list[str]) -> int:
     if plan.ending is not Ending.COMPLETED or not collected.is_complete:
         console.print(f"The excitation was not given completely: {_reason(plan, collected)}.", style="red")
         return 1
-    console.print(f"next        hil identify {report.path} --axis {experiment.axis}")
+    console.print(f"next        hil identify {shlex.quote(str(report.path))} --axis {experiment.axis}")
     return 1 if report.failure else 0
 
 

@@ -40,8 +40,9 @@ EPILOG = """\
 Setpoints, with sizes in the axis' unit and times in seconds since control began:
   {forms}
 
-Control begins without a jump of the valve. Hence a setpoint that is not 0 at time 0 is approached slowly,
-not as a step, and a warning says so.
+Control begins without a jump of the valve. A setpoint that is not at the axis' position at time 0 is
+approached slowly, not as a step, and a warning says so. One that is further away than max_error (rig file,
+axes.NAME.envelope) is refused.
 
 Controllers: the name of a shipped one ({shipped}), or a JSON file such as `hil design` writes. With --linear
 and without --rig, every axis has {linear}, which were designed for eq. (15).

@@ -64,7 +64,7 @@ class TestCsv:
                 r"no column time_s; it has time, u, y.*or give --sample-time",
             ),
             (["0,1,2"], "time_s,u,yy", r"no column y; it has time_s, u, yy"),
-            (["0,1,2", "0.01,x,2"], "time_s,u,y", r"row 3: u is 'x', not a number"),
+            (["0,1,2", "0.01,x,2"], "time_s,u,y", r"line 3: u is 'x', not a number"),
             (["0,1,2", "0.02,1,2", "0.01,1,2"], "time_s,u,y", r"row 3: the time goes back"),
         ],
     )
