@@ -22,7 +22,9 @@ test: .venv/for-test test-packages
 
 # Each prints its figures beside a peer's, measured in the same run.
 bench: .venv/for-test
-	for script in tests/benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+	missed=0; for script in tests/benchmarks/*.py; do \
+		echo "== $$script"; $(BIN)/python $$script || missed=1; \
+	done; exit $$missed
 
 lock: .venv/for-test
 	$(BIN)/pip install --quiet pip-tools
