@@ -24,6 +24,8 @@ LEVEL = 0.95
 """Confidence level of an interval if none is asked for."""
 _STEP = 0.02
 """Step of the differences, in standard deviations along a principal axis."""
+_LARGEST_STEP = 0.05
+"""Largest step of a parameter x, as a share of 1 + |x|, for parameters that the data leave open."""
 
 
 @dataclass(frozen=True)
@@ -107,10 +109,12 @@ def propagate(parameters: Parameters, function: Callable[[Models], Array]) -> tu
     for axis in factor.T:
         if not axis.any():
             continue
+        reach = np.max(np.abs(axis) / (1.0 + np.abs(parameters.values)))
+        step = min(_STEP, _LARGEST_STEP / float(reach))
         ahead, behind = (
-            function(parameters.build(parameters.values + sign * _STEP * axis)) for sign in (1.0, -1.0)
+            function(parameters.build(parameters.values + sign * step * axis)) for sign in (1.0, -1.0)
         )
-        slopes.append((ahead - behind) / (2.0 * _STEP))
+        slopes.append((ahead - behind) / (2.0 * step))
     J = np.array(slopes).reshape(-1, len(at_estimate))
     return at_estimate, J.T @ J
 
