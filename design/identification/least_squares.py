@@ -1,4 +1,8 @@
-"""Linear least squares for columns of very different size."""
+"""Linear least squares for a few columns of very different size and very many rows.
+
+Tall matrices are triangularised piece by piece. A piece is so small that linear algebra libraries do not
+share it out between threads, which would cost more time than the work itself.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,33 @@ import numpy as np
 
 from design.mathematics.polynomials import Array
 
+_PIECE = 4500
+"""Number of matrix elements in a piece."""
+_WITHOUT_EFFECT = 1e-200
+"""Norm of a column below which it counts as 0."""
+
+
+def triangle(columns: Array) -> Array:
+    """Return R (min(m, k), k) of the QR factorisation of a matrix that is given by its columns (k, m)."""
+    k = len(columns)
+    rows = max(4 * k, _PIECE // max(k, 1))
+    while columns.shape[1] > rows:
+        pieces = columns.shape[1] // rows
+        whole = columns[:, : pieces * rows].reshape(k, pieces, rows).transpose(1, 2, 0)
+        factors = np.asarray(np.linalg.qr(whole, mode="r")).reshape(-1, k)
+        columns = np.concatenate([factors.T, columns[:, pieces * rows :]], axis=1)
+    return np.asarray(np.linalg.qr(columns.T, mode="r"))
+
 
 def solved(rows: Array, right: Array) -> Array:
-    """Least-squares solution, of least norm where the rows do not determine it."""
+    """Return the least-squares solution, of least norm where the rows (m, k) do not determine it.
+
+    ``right`` is (m,) or (m, r).
+    """
+    if len(rows) * rows.shape[1] > _PIECE and right.ndim == 1:
+        R = triangle(np.concatenate([rows.T, right[None]]))
+        rows, right = R[:, :-1], R[:, -1]
     scale = np.linalg.norm(rows, axis=0)
-    scale[scale == 0.0] = 1.0
+    # An unknown without effect is 0.
+    scale[scale < _WITHOUT_EFFECT] = np.inf
     return np.asarray((np.linalg.lstsq(rows / scale, right, rcond=1e-13)[0].T / scale).T)

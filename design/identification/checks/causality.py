@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from design.identification.least_squares import solved
 from design.identification.records.experiment import Experiment
 from design.mathematics.polynomials import Array
 
@@ -53,10 +54,7 @@ def later_input_share(experiment: Experiment, nk: int) -> float:
 
 
 def _error(rows: Array, right: Array) -> float:
-    sizes = np.linalg.norm(rows, axis=0)
-    rows = rows / np.where(sizes > 0.0, sizes, 1.0)
-    x = np.linalg.lstsq(rows, right, rcond=1e-10)[0]
-    return float(np.sum((right - rows @ x) ** 2))
+    return float(np.sum((right - rows @ solved(rows, right)) ** 2))
 
 
 def _shifted(signal: Array, lag: int) -> Array:

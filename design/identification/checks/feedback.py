@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from design.identification.least_squares import solved
 from design.identification.records.experiment import Experiment
 from design.mathematics.polynomials import Array
 
@@ -60,13 +61,11 @@ def _delayed(signal: Array, lag: int) -> Array:
 
 def _median_error(rows: Array, right: Array) -> float:
     """Median of |right - rows x| for the x of least absolute error, by reweighted least squares."""
-    sizes = np.linalg.norm(rows, axis=0)
-    rows = rows / np.where(sizes > 0.0, sizes, 1.0)
     floor = 1e-9 * float(np.std(right))
     weights = np.ones(len(right))
     error = np.abs(right)
     for _ in range(_ROUNDS):
-        x = np.linalg.lstsq(rows * weights[:, None], right * weights, rcond=1e-10)[0]
+        x = solved(rows * weights[:, None], right * weights)
         error = np.abs(right - rows @ x)
         weights = 1.0 / np.sqrt(np.maximum(error, max(1e-2 * float(np.median(error)), floor)))
     return float(np.median(error))

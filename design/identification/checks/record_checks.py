@@ -11,6 +11,7 @@ from design.identification.checks.expectations import Expectations
 from design.identification.checks.loop_checks import check_loop
 from design.identification.checks.range_checks import check_input_range, check_travel
 from design.identification.findings import Finding, Kind, Severity
+from design.identification.least_squares import triangle
 from design.identification.models.structures import Structure, parameters_of
 from design.identification.records.experiment import Experiment, runs
 from design.mathematics.polynomials import Array
@@ -211,7 +212,7 @@ def _excitation(experiment: Experiment, structure: Structure) -> Iterator[Findin
     if len(u) <= 2 * needed or not u.any():
         return
     delayed = np.lib.stride_tricks.sliding_window_view(u, needed)
-    singular = np.linalg.svd(np.linalg.qr(delayed, mode="r"), compute_uv=False)
+    singular = np.linalg.svd(triangle(delayed.T), compute_uv=False)
     order = int(np.count_nonzero(singular > PERSISTENCE * singular[0]))
     if order < needed:
         yield Finding(

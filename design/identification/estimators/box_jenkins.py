@@ -21,7 +21,7 @@ from design.identification.estimators.dynamics_problem import eliminated
 from design.identification.estimators.elimination import Layout, Reduced, projected, reduce
 from design.identification.estimators.estimate import Estimate, Models, Parameters, offsets_of
 from design.identification.estimators.levenberg_marquardt import Outcome, minimise
-from design.identification.estimators.noise_filters import coordinates, is_stable, monic, stabilised
+from design.identification.estimators.noise_filters import coordinates, is_stable, monic, past, stabilised
 from design.identification.estimators.output_error import fit_output_error
 from design.identification.least_squares import solved
 from design.identification.models.difference_basis import basis, differences
@@ -255,13 +255,13 @@ def noise_start(residuals: Sequence[Array], nc: int, nd: int) -> tuple[Array, Ar
     """
     rows, right = [], []
     for v in residuals:
-        past = _past(v, LONG_AUTOREGRESSION)
-        complete = np.isfinite(past).all(axis=0) & np.isfinite(v)
+        before = past(v, LONG_AUTOREGRESSION)
+        complete = np.isfinite(before).all(axis=0) & np.isfinite(v)
         if np.count_nonzero(complete) < 4 * LONG_AUTOREGRESSION:
             continue
         e = np.full(len(v), np.nan)
-        e[complete] = v[complete] - solved(past[:, complete].T, v[complete]) @ past[:, complete]
-        block = np.concatenate([_past(e, nc), -_past(v, nd)])
+        e[complete] = v[complete] - solved(before[:, complete].T, v[complete]) @ before[:, complete]
+        block = np.concatenate([past(e, nc), -past(v, nd)])
         complete &= np.isfinite(block).all(axis=0)
         rows.append(block[:, complete].T)
         right.append(v[complete])
@@ -270,11 +270,3 @@ def noise_start(residuals: Sequence[Array], nc: int, nd: int) -> tuple[Array, Ar
     values = solved(np.concatenate(rows), np.concatenate(right))
     c, d = (stabilised(np.concatenate([[1.0], part])) for part in np.split(values, [nc]))
     return coordinates(c), coordinates(d)
-
-
-def _past(signal: Array, count: int) -> Array:
-    """The signal one to ``count`` samples before (count, m). NaN before its beginning."""
-    found = np.full((count, len(signal)), np.nan)
-    for j in range(1, count + 1):
-        found[j - 1, j:] = signal[: len(signal) - j]
-    return found

@@ -33,6 +33,8 @@ from design.identification.models.structures import ContinuousPoles
 from design.identification.records.experiment import Experiment
 from design.mathematics.polynomials import Array
 
+MAX_DEAD_SHARE = 0.25
+"""Largest dead time that is searched, as a share of the longest record."""
 DEAD_TIMES = 16
 """Largest number of dead times that are tried before the search."""
 _STEP = 1e-5
@@ -107,6 +109,12 @@ def fit_continuous(
     """
     T = experiments[0].sample_time_s
     most = structure.max_dead_time_s / T
+    longest_s = max(len(experiment) for experiment in experiments) * T
+    if structure.max_dead_time_s > MAX_DEAD_SHARE * longest_s:
+        raise DesignError(
+            f"{structure}: max_dead_time_s is {structure.max_dead_time_s:g} s, but the longest record has "
+            f"only {longest_s:g} s; at most a quarter of a record can be searched for a dead time"
+        )
     skipped = int(np.ceil(most)) if most else 0
     data = SimulationError(experiments, skipped=skipped, drift=drift, integrators=structure.integrators)
     sections = PoleSections(structure.real, structure.pairs, T)

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from design.identification.estimators.correlation import autocorrelation
-from design.identification.estimators.elimination import triangle
+from design.identification.least_squares import triangle
 from design.mathematics.polynomials import Array
 
 MAX_NOISE_ORDER = 40

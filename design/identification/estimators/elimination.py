@@ -12,13 +12,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
 
-from design.identification.least_squares import solved
+from design.identification.least_squares import solved, triangle
 from design.mathematics.polynomials import Array
-
-_ROWS_AT_ONCE = 16384
-"""Rows that are triangularised together, so that the work stays in the processor's cache."""
 
 
 class Layout(NamedTuple):
@@ -86,20 +82,6 @@ def projected(columns: Sequence[Array], experiments: Sequence[int], reduced: Red
         local = reduced.local_values(i, common, unit)
         found.append(block[n + c : -1] + local.T @ block[:n] + common.T @ block[n : n + c])
     return found
-
-
-def triangle(columns: Array) -> Array:
-    """R (min(m, k), k) of the QR factorisation of the matrix whose columns are the rows of ``columns`` (k,
-    m).
-    """
-    k, m = columns.shape
-    R = np.zeros((0, k))
-    for start in range(0, max(m, 1), _ROWS_AT_ONCE):
-        part = columns[:, start : start + _ROWS_AT_ONCE].T
-        stacked = np.asfortranarray(np.concatenate([R, part]) if len(R) else part)
-        factor = lapack.dgeqrf(stacked, lwork=64 * k)[0]
-        R = np.triu(factor[:k])
-    return R
 
 
 def _square(R: Array) -> Array:

@@ -21,7 +21,7 @@ from design.identification.estimators.dynamics_problem import eliminated
 from design.identification.estimators.elimination import Layout, Reduced, projected, reduce
 from design.identification.estimators.estimate import Estimate, Models, Offsets, Parameters
 from design.identification.estimators.levenberg_marquardt import minimise
-from design.identification.estimators.noise_filters import coordinates, is_stable, monic, stabilised
+from design.identification.estimators.noise_filters import coordinates, is_stable, monic, past, stabilised
 from design.identification.least_squares import solved
 from design.identification.models.difference_basis import basis, differences
 from design.identification.models.model import DiscreteModel
@@ -227,8 +227,7 @@ def _noise_start(experiments: Sequence[Experiment], structure: Arx | Armax, nc: 
     rows, right = [], []
     for run in EquationError(experiments, na, nb, 0, nk, drift).runs:
         e = innovations[run.experiment][run.start : run.start + len(run.y)]
-        past = np.stack([np.concatenate([np.full(j, np.nan), e[:-j]]) for j in range(1, nc + 1)])
-        block = np.concatenate([run.regressors, past, run.common])
+        block = np.concatenate([run.regressors, past(e, nc), run.common])
         complete = np.isfinite(block).all(axis=0)
         rows.append(block[:, complete].T)
         right.append(run.y[complete])

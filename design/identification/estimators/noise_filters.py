@@ -40,3 +40,10 @@ def stabilised(polynomial: Array) -> Array:
         return polynomial
     z[outside] = z[outside] / sizes[outside] * np.minimum(1.0 / sizes[outside], _INSIDE)
     return np.concatenate([np.poly(z).real, np.zeros(len(polynomial) - 1 - len(z))])
+
+
+def past(signal: Array, count: int) -> Array:
+    """The signal (m,) one to ``count`` samples before, as rows (count, m). NaN before its beginning."""
+    padded = np.concatenate([np.full(count, np.nan), signal])
+    rows = [padded[count - j : len(padded) - j] for j in range(1, count + 1)]
+    return np.array(rows).reshape(count, len(signal))

@@ -3,9 +3,9 @@
 The error for given poles is found by linear least squares, so that a grid of poles costs little. A model of
 order 1 or 2 is searched on a grid over all frequencies that the record can show, and improved; then pairs
 are added, one at a time, in the same way. A few candidates are carried along, for the best model of low
-order is not always part of the best one of high order. From order 4 on, each section of the result is
-finally taken out and searched again. No step needs an output sample that is missing, and none can become
-unstable.
+order is not always part of the best one of high order. From order 4 on, or where the residuals are coloured,
+each section of the result is finally taken out and searched again. No step needs an output sample that is
+missing, and none can become unstable.
 """
 
 from __future__ import annotations
@@ -15,24 +15,27 @@ from typing import NamedTuple
 
 import numpy as np
 
+from design.identification.estimators.correlation import autocorrelation
 from design.identification.estimators.dynamics_problem import DynamicsProblem, Parametrisation
 from design.identification.estimators.levenberg_marquardt import minimise
 from design.identification.estimators.pole_sections import PoleSections, regrouped
 from design.identification.estimators.simulation_error import SimulationError
 from design.mathematics.polynomials import Array
 
-FREQUENCIES = 12
+FREQUENCIES = 10
 """Grid points from one period in the record to half the sampling frequency."""
 DAMPINGS = (0.1, 0.8)
 """Damping ratios of the pairs on the grid."""
 KEPT = 2
 """Candidates that are carried to the next order."""
-IMPROVED = 4
+IMPROVED = 3
 """Grid points that are improved before the best are kept."""
 ROUGHLY = 1e-3
 """Tolerance of the improvement of a start value, in units of one residual's variance."""
 SEARCHED_AGAIN_FROM = 4
-"""Order from which each section is searched a second time."""
+"""Order from which each section is searched a second time, whatever the residuals."""
+MAX_COLOUR = 0.2
+"""Correlation of neighbouring residuals above which each section is searched a second time."""
 
 Family = Callable[[PoleSections], Parametrisation]
 """The models that are compared with the data, for given numbers of poles. θ is that of the poles."""
@@ -54,9 +57,19 @@ def search_poles(data: SimulationError, sections: PoleSections, family: Family) 
         problem = DynamicsProblem(data, family(smaller))
         longer = (grown for start in found for grown in _with_one_more(start.theta, smaller, problem))
         found = _improved(problem, smaller, _evaluated(problem, longer)[:IMPROVED])[:KEPT]
-    if sections.order >= SEARCHED_AGAIN_FROM and found:
-        found = [_searched_again(DynamicsProblem(data, family(sections)), sections, found[0]), *found[1:]]
+    problem = DynamicsProblem(data, family(sections))
+    if found and (sections.order >= SEARCHED_AGAIN_FROM or _colour(problem, found[0]) > MAX_COLOUR):
+        found = [_searched_again(problem, sections, found[0]), *found[1:]]
     return found
+
+
+def _colour(problem: DynamicsProblem, start: Start) -> float:
+    """Correlation of neighbouring residuals. Dynamics that were missed leave slow or oscillating ones."""
+    trial = problem.trial(start.theta)
+    if trial is None:
+        return 0.0
+    fitted = problem.data.fitted(trial.simulated)
+    return abs(float(autocorrelation([part.residual * part.stretch.root_weight for part in fitted], 1)[0][1]))
 
 
 def _growing(sections: PoleSections) -> Iterable[PoleSections]:
@@ -125,6 +138,6 @@ def _searched_again(problem: DynamicsProblem, sections: PoleSections, best: Star
             theta = best.theta.copy()
             theta[span] = values
             thetas.append(theta)
-        for candidate in _improved(problem, sections, _evaluated(problem, thetas)[: IMPROVED - 1]):
+        for candidate in _improved(problem, sections, _evaluated(problem, thetas)[:IMPROVED]):
             best = min(best, candidate, key=lambda start: start.cost)
     return best
