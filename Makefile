@@ -16,7 +16,8 @@ test: .venv/for-test test-packages
 	$(BIN)/ruff check --quiet $(PYTHON_CODE)
 	$(BIN)/ruff format --check --quiet $(PYTHON_CODE)
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -q -n 2 --cov --cov-report=term:skip-covered tests/unit tests/property
+	$(BIN)/python -m pytest -q -n 2 --cov --cov-report=term:skip-covered tests/unit
+	$(BIN)/python -m pytest -q -n 2 tests/property
 	$(BIN)/hil vcan -- $(BIN)/python -m pytest -q tests/vcan
 	$(BIN)/python -m pytest -q tests/acceptance
 

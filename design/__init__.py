@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from design.identification.identify import Identification, identify, identify_experiments
     from design.identification.records.experiment import Experiment
     from design.inputs import load_design, load_plant
-    from design.loop_margins import LoopMargins, loop_margins
+    from design.margin_summary import LoopMargins, loop_margins
     from design.models.plant import Plant, paper_plant
     from design.models.sampling import Sampling
     from design.output.results import write_design
@@ -73,7 +73,7 @@ _HOMES = {
     "DesignFile": "design.synthesis.design_file",
     "Experiment": "design.identification.records.experiment",
     "Identification": "design.identification.identify",
-    "LoopMargins": "design.loop_margins",
+    "LoopMargins": "design.margin_summary",
     "Plant": "design.models.plant",
     "RecordRefusedError": "design.identification.findings",
     "Sampling": "design.models.sampling",
@@ -83,7 +83,7 @@ _HOMES = {
     "identify_experiments": "design.identification.identify",
     "load_design": "design.inputs",
     "load_plant": "design.inputs",
-    "loop_margins": "design.loop_margins",
+    "loop_margins": "design.margin_summary",
     "model_to_control": "design.python_control",
     "paper_plant": "design.models.plant",
     "plant_from_control": "design.python_control",

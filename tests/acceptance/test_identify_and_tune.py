@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from design.loop_margins import loop_margins
+from design.margin_summary import loop_margins
 from design.models.plant import read_plant
 from hil.cli import main
 from hil.core.controller_file import read_controller

@@ -25,6 +25,8 @@ from design.identification.models.model import ContinuousModel, DiscreteModel
 from design.identification.models.structures import ContinuousPoles, OutputError, Structure
 from design.identification.records.experiment import Experiment
 
+pytestmark = pytest.mark.timeout(600)  # a count over many records, on a loaded machine
+
 Array = NDArray[np.float64]
 
 T = 0.01

@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 
 import design
-import design.loop_margins
+import design.margin_summary
 import firmware_sim
 import hil
 import hil.lockstep_rig
@@ -109,7 +109,7 @@ def test_each_package_says_that_it_is_typed(package: ModuleType) -> None:
 
 
 @pytest.mark.parametrize(
-    "module", [*PACKAGES, hil.lockstep_rig, design.loop_margins], ids=lambda module: module.__name__
+    "module", [*PACKAGES, hil.lockstep_rig, design.margin_summary], ids=lambda module: module.__name__
 )
 def test_the_examples_in_the_docstrings_run(
     module: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
