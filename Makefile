@@ -6,6 +6,9 @@ SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 PYTHON_CODE := hil firmware_sim design tests
 SOURCES_OF_INSTALL := pyproject.toml requirements.lock $(wildcard firmware_sim/arm/*.c hil/host/vcan/*.c)
 
+# On small matrices, threads of the linear algebra cost more than they gain, beside two test processes above all.
+export OPENBLAS_NUM_THREADS = 1
+
 .SILENT:
 .PHONY: run test bench lock clean run-packages test-packages
 
