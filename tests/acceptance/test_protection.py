@@ -160,7 +160,7 @@ def test_a_start_far_from_the_setpoint_is_refused(tmp_path: Path, capsys: pytest
     assert said.startswith("start refused: the setpoint begins at 0.1 m and the position is ")
     assert "limit 0.075 m (rig: axes.vertical.envelope.max_error)" in said
     assert not np.any(recording.timing()["state"] == RUNNING)
-    assert "start was refused" in capsys.readouterr().out
+    assert "start refused" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
