@@ -1,0 +1,51 @@
+"""What an operator may ask of a running gateway, and how it replies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from hil.core.life_cycle import Trigger
+
+
+class SetpointRequest(NamedTuple):
+    """Change the setpoint of one axis. In state running it is approached within the axis' setpoint limits."""
+
+    axis: str
+    setpoint: str
+    """Setpoint as in a rig file; its time 0 is the period in which it takes over."""
+
+
+class ControllerRequest(NamedTuple):
+    """Change the controller of one axis. In state running it takes over with its output matched."""
+
+    axis: str
+    name: str
+    """Name of the file, for messages."""
+    document: str
+    """Text of the controller file."""
+
+
+class JogRequest(NamedTuple):
+    """Move one axis with a constant valve voltage for a short time, while the other valves are centred.
+
+    A further request for the same axis before the end extends the motion: whoever jogs must repeat the
+    request, and the axis stops when the requests stop.
+    """
+
+    axis: str
+    offset_v: float
+    """Valve voltage in volts, relative to the valve's centre."""
+    duration_s: float
+    """Time after which the valve is centred, in seconds."""
+
+
+Request = Trigger | SetpointRequest | ControllerRequest | JogRequest
+"""Anything that an operator may ask."""
+
+
+class Reply(NamedTuple):
+    """Answer of the gateway to a request."""
+
+    accepted: bool
+    text: str
+    """What happened, or why not."""
