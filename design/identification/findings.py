@@ -25,7 +25,6 @@ class Kind(StrEnum):
 
     TOO_FEW_SAMPLES = "too few samples"
     GAPS = "gaps"
-    NOT_FINITE = "not finite"
     CONSTANT_INPUT = "constant input"
     CONSTANT_OUTPUT = "constant output"
     EXCITATION = "too little excitation"
@@ -85,7 +84,7 @@ class RecordRefusedError(DesignError):
 
 
 def most_severe_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """The findings, each kind once for each severity and signal, those that refuse the record first."""
+    """Return each kind of finding once for each severity and signal, those that refuse first."""
     first: dict[tuple[Kind, Severity, str], Finding] = {}
     for finding in findings:
         first.setdefault((finding.kind, finding.severity, finding.signal), finding)

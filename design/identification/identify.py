@@ -87,7 +87,7 @@ class Identification:
         return bool(self.warnings)
 
     def frequency_response(self, period_samples: int | None = None) -> FrequencyResponse:
-        """The response measured without a model, from the data that were fitted. Raises DesignError."""
+        """Measure the response without a model, from the data that were fitted. Raises DesignError."""
         return frequency_response(self.estimate.experiments, period_samples=period_samples)
 
 
@@ -139,8 +139,9 @@ def identify_experiments(
     remove_transport_delay: bool = True,
     expected: Expectations = NOTHING_KNOWN,
 ) -> Identification:
-    """Identify one model from experiments of one sample time, each with an offset and initial state of its
-    own.
+    """Identify one model from experiments of one sample time.
+
+    Each experiment has an offset and an initial state of its own.
 
     Without ``validation``, the last third of each record is kept from the fit and used for it. With
     ``remove_transport_delay``, the inputs are moved by each record's ``transport_delay_samples``, so that
@@ -178,7 +179,7 @@ def identify_experiments(
 
 
 def _are_the_same(first: Experiment, second: Experiment) -> bool:
-    """True if both hold the same samples."""
+    """Return True if both hold the same samples."""
     pairs = ((first.u, second.u), (first.y, second.y))
     return first is second or all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
@@ -190,8 +191,7 @@ def _check_records(experiments: Sequence[Experiment], validation: Sequence[Exper
     if len(delays) > 1:
         raise DesignError(
             f"the records have transport delays of {', '.join(map(str, sorted(delays)))} samples; identify "
-            "records of one "
-            "rig together"
+            "records of one rig together"
         )
     if any(_are_the_same(fitted, other) for fitted in experiments for other in validation or ()):
         raise DesignError("estimation and validation data are the same; give another record, or none")
@@ -200,7 +200,7 @@ def _check_records(experiments: Sequence[Experiment], validation: Sequence[Exper
 def _prepared(
     experiments: Sequence[Experiment], validation: Sequence[Experiment] | None, remove_transport_delay: bool
 ) -> tuple[list[Experiment], list[Experiment]]:
-    """Records to fit and records to validate with, moved to the actuator if that is asked for."""
+    """Return the records to fit and records to validate with, moved to the actuator if that is asked for."""
 
     def moved(experiment: Experiment) -> Experiment:
         return experiment.at_the_actuator() if remove_transport_delay else experiment

@@ -1,6 +1,4 @@
-"""Orders side by side: information criteria on the data that were fitted, and the fit on data that were
-not.
-"""
+"""Orders side by side: information criteria on the fitted data, and the fit on other data."""
 
 from __future__ import annotations
 
@@ -56,7 +54,7 @@ class OrderTable:
     rows: tuple[Row, ...]
 
     def best(self, criterion: Criterion = Criterion.BIC) -> Row:
-        """The best structure by a criterion. Raises DesignError where none has a model."""
+        """Return the best structure by a criterion. Raises DesignError where none has a model."""
         usable = [row for row in self.rows if row.estimate is not None]
         if not usable:
             raise DesignError(
@@ -74,7 +72,7 @@ class OrderTable:
 def output_error_orders(
     nb: Iterable[int] = (1, 2, 3), nf: Iterable[int] = (1, 2, 3, 4), nk: Iterable[int] = (1, 2, 3)
 ) -> list[Structure]:
-    """Every output-error structure with these orders whose B is not longer than its F."""
+    """Return every output-error structure with these orders whose B is not longer than its F."""
     delays, lengths = tuple(nk), tuple(nb)
     return [OutputError(b, f, k) for f in nf for b in lengths for k in delays if b <= max(f, 1)]
 

@@ -30,7 +30,7 @@ class Comparison:
     fit_percent: float
     """100 (1 - |y - simulated| / |y - mean y|) over the samples that count. NaN for an unstable model."""
     input_percent: float
-    """Fit in per cent that the input explains: the best motion without an input replaces the mean."""
+    """What the input explains: the fit with the best motion without an input in place of the mean of y."""
 
     @property
     def error(self) -> Array:
@@ -74,7 +74,7 @@ def _placed(experiment: Experiment, outputs: list[tuple[Stretch, Array]]) -> Arr
 
 
 def fit_percent(experiment: Experiment, simulated: Array) -> float:
-    """100 (1 - |y - simulated| / |y - mean y|) over the samples that count, with their weights."""
+    """Return 100 (1 - |y - simulated| / |y - mean y|) over the samples that count, with their weights."""
     counts = experiment.observed & np.isfinite(simulated)
     root = np.sqrt(experiment.weights[counts])
     y = experiment.y[counts]

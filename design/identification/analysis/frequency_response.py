@@ -75,7 +75,7 @@ def frequency_response(
 def averaged_spectra(
     experiments: Sequence[Experiment], segment_samples: int | None = None
 ) -> FrequencyResponse:
-    """Welch's method: Hann windows that overlap by half, without the mean of each.
+    """Measure the response by Welch's method: Hann windows that overlap by half, each without its mean.
 
     By default a segment is an eighth of the samples. Raises DesignError where fewer than two segments fit
     between the gaps.
@@ -113,7 +113,7 @@ def averaged_spectra(
 
 
 def local_rational(experiments: Sequence[Experiment], points: int = POINTS) -> FrequencyResponse:
-    """The local rational method on every run without a gap, at frequencies spread evenly over the logarithm.
+    """Measure the response by the local rational method, at frequencies spread evenly over the logarithm.
 
     Runs are averaged by their variances. Raises DesignError where no run is long enough.
     """
@@ -141,7 +141,7 @@ def local_rational(experiments: Sequence[Experiment], points: int = POINTS) -> F
 
 
 def periodic_lines(experiments: Sequence[Experiment], period_samples: int) -> FrequencyResponse:
-    """Response at the lines of an input with this period in samples.
+    """Measure the response at the lines of an input with this period in samples.
 
     The first period of each run is left out if there are three or more, for its transient. The noise is the
     scatter between periods. Raises DesignError where no run has two periods.
@@ -183,7 +183,7 @@ def periodic_lines(experiments: Sequence[Experiment], period_samples: int) -> Fr
 
 
 def _runs(experiments: Sequence[Experiment]) -> list[tuple[Array, Array]]:
-    """Inputs and outputs of all runs without a gap. Raises DesignError where there is none."""
+    """Return the inputs and outputs of all runs without a gap. Raises DesignError where there is none."""
     found = []
     for experiment in experiments:
         for first, last in runs(experiment.observed & np.isfinite(experiment.u)):
@@ -197,8 +197,7 @@ def _runs(experiments: Sequence[Experiment]) -> list[tuple[Array, Array]]:
 
 
 def _local_fits(u: Array, y: Array, at: Array, fewest: int) -> tuple[ComplexArray, Array, Array, Array]:
-    """Response, its variance, explained and total power of y at the lines ``at`` (k,), which need not be
-    whole.
+    """Return the response, its variance, and the explained and total power of y at the lines ``at`` (k,).
 
     The window grows with the frequency, so that a long record gives a smooth response.
     """
@@ -212,7 +211,7 @@ def _local_fits(u: Array, y: Array, at: Array, fewest: int) -> tuple[ComplexArra
 
 
 def _rational_fit(U: ComplexArray, Y: ComplexArray, at: Array, lines: int) -> ComplexArray:
-    """Response, its variance, explained and total power (4, k), from windows of the same number of lines."""
+    """Return the same quantities as rows (4, k), from windows of one number of lines."""
     # Line 0 is lost with the mean.
     first = np.clip(np.rint(at).astype(int) - lines // 2, 1, len(U) - lines)
     index = first[:, None] + np.arange(lines)

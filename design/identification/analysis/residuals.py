@@ -86,7 +86,7 @@ def _centred(values: Array, known: Array) -> Array:
 
 
 def _coefficients(pairs: Sequence[Pair], lags: int) -> tuple[Array, Array]:
-    """Correlation coefficients (lags + 1,) and the number of terms of each."""
+    """Return the correlation coefficients (lags + 1,) and the number of terms of each."""
     sums, counts = correlation(pairs, lags)
     power = [
         sum(float(x @ x) for x in side) for side in zip(*((p.first, p.second) for p in pairs), strict=True)
@@ -101,10 +101,9 @@ def _coefficients(pairs: Sequence[Pair], lags: int) -> tuple[Array, Array]:
 
 
 def _joint(first: Array, second: Array, count: int) -> Array:
-    """Covariance (count,) over lag differences of a cross-correlation of independent signals, times the
-    samples.
+    """Return the covariance (count,) of a cross-correlation over lag differences, times the samples.
 
-    Bartlett's formula: Σ over j of r_first(j) r_second(j + lag difference).
+    It is that of independent signals by Bartlett's formula, Σ over j of r_first(j) r_second(j + difference).
     """
     both = [np.concatenate([r[:0:-1], r]) for r in (first, second)]
     full = np.correlate(both[0], both[1], mode="full")
@@ -113,7 +112,7 @@ def _joint(first: Array, second: Array, count: int) -> Array:
 
 
 def _tested(lags: Array, values: Array, counts: Array, joint: Array, level: float) -> Correlation:
-    """Bounds at each lag, and a chi-squared test over all lags with their covariance."""
+    """Return the bounds at each lag, and a chi-squared test over all lags with their covariance."""
     counts = np.maximum(counts, 1.0)
     variance = max(float(joint[0]), 1e-12)
     bounds = NormalDist().inv_cdf(0.5 + 0.5 * level) * np.sqrt(variance / counts)

@@ -1,5 +1,4 @@
-"""Intervals of what a user asks a model for: gain, poles, zeros, natural frequencies, damping, dead time,
-Bode.
+"""Intervals of gain, poles, zeros, modes and dead time of a model, and of its frequency response.
 
 The covariance of the parameters is carried over by the delta method: a quantity is differentiated along the
 principal axes of the covariance, each by a small share of its own standard deviation. Intervals are those
@@ -37,7 +36,7 @@ class Quantity:
     std: float
 
     def interval(self, level: float = LEVEL) -> tuple[float, float]:
-        """Confidence interval at this level."""
+        """Return the confidence interval at this level."""
         reach = NormalDist().inv_cdf(0.5 + 0.5 * level) * self.std
         return self.value - reach, self.value + reach
 
@@ -55,7 +54,7 @@ class Root:
         return float(np.sqrt(np.trace(self.covariance)))
 
     def ellipse(self, level: float = LEVEL, points: int = 60) -> ComplexArray:
-        """Outline (points,) of the confidence region. It is a line for a real root."""
+        """Return the outline (points,) of the confidence region. It is a line for a real root."""
         values, axes = np.linalg.eigh(self.covariance)
         reach = np.sqrt(-2.0 * np.log(1.0 - level) * np.maximum(values, 0.0))
         angle = np.linspace(0.0, 2.0 * np.pi, points)
@@ -78,8 +77,7 @@ class Properties:
     gain: Quantity | None
     """Static gain. None for a model with an integrator."""
     velocity_gain: Quantity | None
-    """Static gain times the slowest pole, in output units per s and input unit. None without a slow real
-    pole."""
+    """Static gain times the slowest pole, per s and input unit. None without a slow real pole."""
     poles: tuple[Root, ...]
     """Continuous poles, slowest first."""
     zeros: tuple[Root, ...] | None
@@ -101,7 +99,7 @@ class ResponseBand:
 
 
 def propagate(parameters: Parameters, function: Callable[[Models], Array]) -> tuple[Array, Array]:
-    """Values (k,) of a function of the models, and their covariance (k, k)."""
+    """Return values (k,) of a function of the models, and their covariance (k, k)."""
     values, axes = np.linalg.eigh(_scaled(parameters.covariance))
     sizes = np.sqrt(np.maximum(np.diag(parameters.covariance), 0.0))
     factor = sizes[:, None] * axes * np.sqrt(np.maximum(values, 0.0))
@@ -120,7 +118,7 @@ def propagate(parameters: Parameters, function: Callable[[Models], Array]) -> tu
 
 
 def properties(estimate: Estimate) -> Properties:
-    """Gain, poles, zeros, modes and dead time of an estimate, with standard deviations."""
+    """Return the gain, poles, zeros, modes and dead time of an estimate, with standard deviations."""
     models = estimate.parameters.build(estimate.parameters.values)
     poles = _poles(models)
     poles = poles[np.argsort(np.abs(poles), kind="stable")]
@@ -164,7 +162,9 @@ def properties(estimate: Estimate) -> Properties:
 
 
 def coefficients(estimate: Estimate) -> tuple[tuple[str, ...], Array, Array]:
-    """Names, values (k,) and covariance (k, k) of the sampled model's coefficients in powers of z^-1.
+    """Return names, values (k,) and covariance (k, k) of the sampled model's coefficients.
+
+    They are coefficients in powers of z^-1.
 
     They are b, f without its leading 1, and those of c and d, for ARX and ARMAX those of c alone.
     """
@@ -183,7 +183,7 @@ def coefficients(estimate: Estimate) -> tuple[tuple[str, ...], Array, Array]:
 
 
 def response_band(estimate: Estimate, omega_rad_s: ArrayLike) -> ResponseBand:
-    """Frequency response of the sampled model, hold included, with its uncertainty."""
+    """Return the frequency response of the sampled model, hold included, with its uncertainty."""
     omega = np.asarray(omega_rad_s, dtype=float)
 
     def response(models: Models) -> Array:
@@ -205,7 +205,7 @@ def response_band(estimate: Estimate, omega_rad_s: ArrayLike) -> ResponseBand:
 
 
 def _scaled(covariance: Array) -> Array:
-    """The correlation matrix, 0 in rows of a parameter without variance."""
+    """Return the correlation matrix, 0 in rows of a parameter without variance."""
     sizes = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     return covariance / sizes / sizes[:, None]
@@ -233,7 +233,7 @@ def _dead_time_s(models: Models) -> float:
 
 
 def _gains(models: Models, poles: ComplexArray) -> tuple[float, float]:
-    """Static gain, and its product with the first pole, which stays finite for an integrator."""
+    """Return the static gain, and its product with the first pole, which stays finite for an integrator."""
     gain = models.discrete.gain
     if not len(poles):
         return gain, np.nan
@@ -244,7 +244,7 @@ def _gains(models: Models, poles: ComplexArray) -> tuple[float, float]:
 
 
 def _matched(found: ComplexArray, nominal: ComplexArray) -> ComplexArray:
-    """The roots in the order of the nominal ones that they are nearest to."""
+    """Return the roots in the order of the nominal ones that they are nearest to."""
     remaining = list(found)
     ordered = []
     for value in nominal:

@@ -17,15 +17,16 @@ PAST = 8
 LATER = 8
 """Number of inputs that come too late."""
 SURPRISING = 1e-2
-"""Error of the input's prediction from its own past, as a share of its standard deviation, up to which
-later inputs say nothing new: a multisine or a chirp is known in advance."""
+"""Relative error of an input's prediction from its past, up to which it counts as known in advance.
+
+Later values of a multisine or a chirp say nothing new, so they are not tested.
+"""
 MAX_ROWS = 20_000
 """Number of rows of a prediction."""
 
 
 def later_input_share(experiment: Experiment, nk: int) -> float:
-    """Share of the prediction's error variance that inputs explain which come too late for a delay of nk
-    samples.
+    """Return the share of the error's variance that inputs explain which come too late for nk.
 
     0 where too few rows are complete, where the error is rounding, or where the input is known in advance.
     """
@@ -58,7 +59,7 @@ def _error(rows: Array, right: Array) -> float:
 
 
 def _shifted(signal: Array, lag: int) -> Array:
-    """The signal ``lag`` samples later, or earlier for a negative lag. NaN where there is none."""
+    """Return the signal ``lag`` samples later, or earlier for a negative lag. NaN where there is none."""
     empty = np.full(min(abs(lag), len(signal)), np.nan)
     return (
         np.concatenate([empty, signal[: len(signal) - lag]])

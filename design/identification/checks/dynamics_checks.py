@@ -28,7 +28,7 @@ MAX_LOST_PERCENT = 2.0
 
 
 def share_from_input(analysis: ResidualAnalysis) -> float:
-    """Share of the error's variance that the input of the most telling lag explains."""
+    """Return the share of the error's variance that the input of the most telling lag explains."""
     return float(np.max(analysis.from_input.values**2, initial=0.0))
 
 
@@ -74,9 +74,7 @@ def check_dynamics(estimate: Estimate, analysis: ResidualAnalysis, fit: float) -
 
 
 def _delay(estimate: Estimate) -> tuple[int, float] | None:
-    """The shortest delay in samples that lowers the error nearly as far as any, and the share that it
-    removes.
-    """
+    """Return the shortest delay that lowers the error nearly as far as any, and the share that it removes."""
     model = estimate.discrete
     sections = PoleSections.of_order(model.order, model.sample_time_s)
     theta = from_poles(logarithms(model.f, model.sample_time_s), sections) if model.stable else None

@@ -21,8 +21,7 @@ PAST = 8
 MAX_ROWS = 20_000
 """Number of rows of a prediction."""
 PREDICTABLE = 1e-6
-"""Typical error, as a share of the input's standard deviation, below which the input follows from its own
-past."""
+"""Relative error of an input's prediction from its past, below which it is exact."""
 _ROUNDS = 12
 
 
@@ -60,7 +59,7 @@ def _delayed(signal: Array, lag: int) -> Array:
 
 
 def _median_error(rows: Array, right: Array) -> float:
-    """Median of |right - rows x| for the x of least absolute error, by reweighted least squares."""
+    """Return the median of |right - rows x| for the x of least absolute error (reweighted squares)."""
     floor = 1e-9 * float(np.std(right))
     weights = np.ones(len(right))
     error = np.abs(right)

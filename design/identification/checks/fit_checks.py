@@ -26,8 +26,7 @@ EXPLAINED_PERCENT = 90.0
 MAX_NOISE_RATIO = 10.0
 """Ratio of the model's error to the sensor's noise above which it is reported."""
 SWAPPED_GAIN = 20.0
-"""Fit in per cent by which a model from y to u must be better than that from u to y to show swapped
-channels."""
+"""Fit in per cent by which the reversed model must be better to show swapped channels."""
 SWAPPED_SAMPLES = 6000
 """Number of samples to which a model from y to u is fitted."""
 
@@ -67,8 +66,7 @@ def check_fit(
             unit="%",
             text=(
                 f"the fit is {own:.3g} % on the data that were fitted, {other:.3g} % on the others (limit "
-                "of the "
-                f"difference {MAX_FIT_LOSS:g} %)"
+                f"of the difference {MAX_FIT_LOSS:g} %)"
             ),
             remedy=(
                 "choose a smaller structure, record longer, or make both records under the same conditions"
@@ -93,15 +91,14 @@ def _beyond_the_sensor(estimate: Estimate) -> Iterator[Finding]:
             unit="",
             text=(
                 f"the model's error is {ratio:.3g} times the noise of the sensor (limit "
-                f"{MAX_NOISE_RATIO:g}): the "
-                "plant does something that the model does not, or is disturbed"
+                f"{MAX_NOISE_RATIO:g}): the plant does something that the model does not, or is disturbed"
             ),
             remedy="look for end stops, friction or saturation in the record; choose another structure",
         )
 
 
 def _no_fit(estimate: Estimate, own: float, explained: float, record: str) -> Finding:
-    """The reason why a model explains next to nothing."""
+    """Return the reason why a model explains next to nothing."""
     names = estimate.experiments[0].names
     percent = max(explained, 0.0)
     swapped = _fit_of_swapped(estimate.experiments) if own < POOR_PERCENT else -np.inf

@@ -26,7 +26,7 @@ def check_loop(experiment: Experiment, structure: Structure, expected: Expectati
 
 
 def _closed_because(experiment: Experiment, expected: Expectations) -> tuple[float, str] | None:
-    """The figure and the reason why a controller acted, or None."""
+    """Return the figure and the reason why a controller acted, or None."""
     if expected.closed_loop is not None:
         return (0.0, "as stated") if expected.closed_loop else None
     found = feedback(experiment)
@@ -35,8 +35,7 @@ def _closed_because(experiment: Experiment, expected: Expectations) -> tuple[flo
     percent = 100.0 * found.with_output
     return percent, (
         f"with {experiment.names.y} known, it is predicted with an error of only {percent:.3g} % of that "
-        "without "
-        f"(limit {100.0 * MAX_FEEDBACK:g} %)"
+        f"without (limit {100.0 * MAX_FEEDBACK:g} %)"
     )
 
 
@@ -51,8 +50,7 @@ def _closed_loop(experiment: Experiment, structure: Structure, figure: float, re
         unit="%",
         text=(
             f"a controller computed it from {experiment.names.y}: {reason}. {structure} is biased if the "
-            "noise in "
-            f"{experiment.names.y} is strong"
+            f"noise in {experiment.names.y} is strong"
         ),
         remedy="record in open loop, or choose ARMAX or BJ",
     )
@@ -74,8 +72,8 @@ def _time_shift(experiment: Experiment, structure: Structure) -> Iterator[Findin
         unit="%",
         text=(
             f"{100.0 * share:.3g} % of what its past does not explain depends on values of {names.u} that "
-            "come "
-            f"later than nk = {nk} allows (limit {100.0 * MAX_LATER_INPUT:g} %): it answers before its input"
+            f"come later than nk = {nk} allows (limit {100.0 * MAX_LATER_INPUT:g} %): it answers before "
+            "its input"
         ),
         remedy="check the times of both columns and the transport delay, or use a smaller nk",
     )

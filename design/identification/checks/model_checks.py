@@ -22,8 +22,7 @@ from design.identification.findings import Finding, Kind, Severity
 from design.identification.models.structures import ContinuousPoles, OutputError
 
 MAX_MISSING_DYNAMICS = 0.15
-"""Share of the error that earlier inputs explain, above which the model is too far off to judge friction by
-it."""
+"""Share of the error that earlier inputs explain, above which friction cannot be judged."""
 ROUNDING = 1e-7
 """Ratio of the model's error to the output's standard deviation up to which the error is rounding."""
 
@@ -57,7 +56,7 @@ def check_model(
 
 
 def _has_error(estimate: Estimate) -> bool:
-    """False if the error is nothing but rounding."""
+    """Return False if the error is nothing but rounding."""
     spreads = [float(np.std(experiment.y[experiment.observed])) for experiment in estimate.experiments]
     return estimate.noise_std > ROUNDING * max(spreads)
 
@@ -103,8 +102,7 @@ def _stability(estimate: Estimate) -> Iterator[Finding]:
             unit="",
             text=(
                 f"the model is unstable: its largest pole in z has modulus {largest:.6g} (limit 1). No "
-                "free-running "
-                "simulation can confirm it"
+                "free-running simulation can confirm it"
             ),
             remedy="compare it with a measured frequency response, or stabilise the plant and record again",
         )

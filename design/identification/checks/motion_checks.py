@@ -48,8 +48,8 @@ def _friction(experiment: Experiment, share: float) -> Finding:
         limit=limit,
         unit="%",
         text=(
-            f"it stands still in {100.0 * share:.3g} % of the times at which the model moves clearly (limit "
-            f"{limit:g} %): friction or a dead zone holds it"
+            f"it stands still in {100.0 * share:.3g} % of the times at which the model moves clearly "
+            f"(limit {limit:g} %): friction or a dead zone holds it"
         ),
         remedy="raise the amplitude",
     )
@@ -66,8 +66,8 @@ def _unknown_stop(experiment: Experiment, share: float) -> Finding:
         unit="%",
         text=(
             f"it stands still at its extreme values in {100.0 * share:.3g} % of the times at which the "
-            "model moves "
-            f"clearly (limit {100.0 * MAX_STALLED:g} %): an end stop, a converter at its limit, or friction"
+            f"model moves clearly (limit {100.0 * MAX_STALLED:g} %): an end stop, a converter at its "
+            "limit, or friction"
         ),
         remedy=(
             "state the travel, so that these samples are left out; centre the axis, or lower the amplitude"
@@ -101,7 +101,7 @@ def check_drift(estimate: Estimate) -> Iterator[Finding]:
 
 
 def _drift(model: DiscreteModel, experiment: Experiment) -> tuple[float, float] | None:
-    """Drift over the record, and its standard deviation. None where nothing can be simulated."""
+    """Return the drift over the record, and its standard deviation. None where nothing can be simulated."""
     data = SimulationError(
         [experiment], skipped=max(0, model.nk + len(model.b) - 1 - model.order), drift=True
     )

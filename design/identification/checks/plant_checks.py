@@ -17,11 +17,9 @@ MAX_UNCERTAINTY = 0.3
 REFUSED_UNCERTAINTY = 0.2
 """Smallest standard deviation of the frequency response, as a share of it, above which no model is given."""
 SLOWEST_USEFUL = 0.003
-"""Fastest pole times the sample time below which a record is sampled far too fast, or its sample time is
-wrong."""
+"""Fastest pole times the sample time, below which a record is sampled far too fast."""
 NEAR_NYQUIST = 0.8
-"""Frequency of a lightly damped mode, as a share of half the sampling frequency, from which it may be an
-alias."""
+"""Share of half the sampling frequency from which a lightly damped mode may be an alias."""
 LIGHT_DAMPING = 0.3
 """Damping ratio below which a mode counts as lightly damped."""
 GAIN_FACTORS = {
@@ -57,8 +55,7 @@ def check_time_scale(estimate: Estimate) -> Iterator[Finding]:
             unit="s",
             text=(
                 f"{T:.4g} s is very short beside the plant's fastest time constant, {1.0 / fastest:.4g} s "
-                "(usual is "
-                f"{SLOWEST_USEFUL / fastest:.4g} s or more)"
+                f"(usual is {SLOWEST_USEFUL / fastest:.4g} s or more)"
             ),
             remedy="check the unit of the sample time (seconds), or average the record",
         )
@@ -75,8 +72,7 @@ def check_time_scale(estimate: Estimate) -> Iterator[Finding]:
                 unit="rad/s",
                 text=(
                     f"a mode at {s.imag:.4g} rad/s lies close to half the sampling frequency, "
-                    f"{np.pi / T:.4g} rad/s: "
-                    "it may be the image of a faster one"
+                    f"{np.pi / T:.4g} rad/s: it may be the image of a faster one"
                 ),
                 remedy="sample faster, or filter the sensor before it is sampled",
             )
@@ -124,8 +120,7 @@ def check_uncertainty(estimate: Estimate, properties: Properties) -> Iterator[Fi
                 unit="%",
                 text=(
                     f"its standard deviation is {percent:.3g} % of it (limit {100.0 * MAX_UNCERTAINTY:g} "
-                    "%): too little "
-                    "excitation"
+                    "%): too little excitation"
                 ),
                 remedy=(
                     "record longer, excite at this frequency, raise the amplitude, or choose a smaller "
@@ -135,7 +130,7 @@ def check_uncertainty(estimate: Estimate, properties: Properties) -> Iterator[Fi
 
 
 def _best_known(estimate: Estimate) -> float:
-    """Smallest standard deviation of the frequency response over all frequencies, as a share of it."""
+    """Return the smallest standard deviation of the frequency response, as a share of it."""
     T = estimate.discrete.sample_time_s
     longest = max(map(len, estimate.experiments))
     band = response_band(estimate, np.geomspace(2.0 * np.pi / (longest * T), 0.9 * np.pi / T, 50))

@@ -104,8 +104,7 @@ def check_travel(experiment: Experiment, expected: Expectations) -> Iterator[Fin
             unit="%",
             text=(
                 f"{100.0 * share:.3g} % of it lies at an end of the travel (limit {100.0 * MAX_AT_STOPS:g} "
-                "%); "
-                "these samples are left out"
+                "%); these samples are left out"
             ),
             remedy="centre the axis first, measure the actuator's offset, or lower the amplitude",
         )
@@ -129,7 +128,7 @@ def _at_stops(experiment: Experiment, travel: tuple[float, float]) -> Flags:
 
 
 def _outside(values: Array, low: float, high: float, margin: float) -> float | None:
-    """The value farthest outside the range, if it leaves it by more than ``margin`` times its width."""
+    """Return the value farthest outside the range, if it leaves it by more than a share of its width."""
     excess = np.maximum(values - high, low - values)
     worst = int(np.argmax(excess))
     return float(values[worst]) if excess[worst] > margin * (high - low) else None
@@ -140,7 +139,7 @@ def _nearer(value: float, low: float, high: float) -> float:
 
 
 def _guess(outside: float, low: float, high: float) -> str:
-    """The usual factors by which the value, divided, would lie in the range."""
+    """Return the usual factors by which the value, divided, would lie in the range."""
     limit = _nearer(outside, low, high)
     ratio = outside / limit if limit else 0.0
     reasons = [reason for factor, reason in SCALES.items() if 3.0 < ratio <= 1.2 * factor]

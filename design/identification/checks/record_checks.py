@@ -139,8 +139,8 @@ def _stretches(experiment: Experiment, structure: Structure) -> Iterator[Finding
             unit="%",
             text=(
                 f"only {100.0 * usable:.3g} % of the record lies in stretches of {needed} or more periods "
-                "with a "
-                f"known input (limit {100.0 * MIN_USABLE:g} %); the longest has {max(lengths, default=0)}"
+                f"with a known input (limit {100.0 * MIN_USABLE:g} %); the longest has "
+                f"{max(lengths, default=0)}"
             ),
             remedy="record without interruptions, or state that the input was held in the gaps",
         )
@@ -158,8 +158,8 @@ def _period(experiment: Experiment, expected: Expectations) -> Iterator[Finding]
             limit=known,
             unit="s",
             text=(
-                f"{given:.6g} s, but the rig's period is {known:.6g} s "
-                f"(limit of the difference {100.0 * MAX_PERIOD_ERROR:g} %)"
+                f"{given:.6g} s, but the rig's period is {known:.6g} s (limit of the difference "
+                f"{100.0 * MAX_PERIOD_ERROR:g} %)"
             ),
             remedy="give the true sample time, in seconds",
         )

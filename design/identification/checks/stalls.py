@@ -27,8 +27,9 @@ class Stalls(NamedTuple):
 
 
 def find_stalls(comparison: Comparison) -> Stalls:
-    """Compare the motions of measured and simulated output over windows of several lengths, and take the
-    worst.
+    """Compare the motions of measured and simulated output in windows of several lengths.
+
+    The worst shares are returned.
     """
     counts = comparison.experiment.observed & np.isfinite(comparison.simulated)
     y = np.where(counts, comparison.experiment.y, np.nan)
@@ -60,15 +61,13 @@ def find_stalls(comparison: Comparison) -> Stalls:
 
 
 def sensor_noise(experiment: Experiment) -> float:
-    """Standard deviation of the noise in a record's output, at least that of its converter's steps."""
+    """Return the standard deviation of an output's noise, at least that of its converter's steps."""
     y = np.where(experiment.observed, experiment.y, np.nan)
     return float(max(noise_std(y), quantum(y) / np.sqrt(12.0)))
 
 
 def noise_std(y: Array) -> float:
-    """Standard deviation of the sensor's noise (N,), from second differences, which smooth motions hardly
-    have.
-    """
+    """Return the standard deviation of the noise in y (N,), from its second differences."""
     second = np.abs(np.diff(y, 2))
     second = second[np.isfinite(second)]
     if not len(second):
@@ -77,16 +76,14 @@ def noise_std(y: Array) -> float:
 
 
 def quantum(y: Array) -> float:
-    """Smallest change (N,) between neighbouring samples that is not 0: the step of a converter, if it has
-    one.
-    """
+    """Return the smallest change between neighbours in y (N,) that is not 0: a converter's step."""
     changes = np.abs(np.diff(y))
     changes = changes[np.isfinite(changes) & (changes > 1e-12 * np.nanmax(np.abs(y), initial=0.0))]
     return float(changes.min()) if len(changes) else 0.0
 
 
 def _windows(signal: Array, length: int, smooth: int) -> Array:
-    """Moving averages over ``smooth`` samples, cut into overlapping windows (k, length)."""
+    """Return the moving averages over ``smooth`` samples, cut into overlapping windows (k, length)."""
     if len(signal) < length + smooth:
         return np.zeros((0, length))
     averaged = np.lib.stride_tricks.sliding_window_view(signal, smooth).mean(axis=1)

@@ -30,13 +30,12 @@ def check_samples(samples: int, unknowns: int, structure: str) -> None:
     if samples < 2 * unknowns:
         raise DesignError(
             f"{structure}: {samples} usable output samples for {unknowns} unknowns (parameters, initial "
-            "states, "
-            "offsets); record longer, or choose a smaller structure"
+            "states, offsets); record longer, or choose a smaller structure"
         )
 
 
 def estimated(problem: DynamicsProblem, outcome: Outcome[Candidate], assembly: Assembly) -> Estimate:
-    """Covariance, residuals and offsets at the end of a search."""
+    """Return the covariance, residuals and offsets at the end of a search."""
     data, simulated = problem.data, outcome.trial.simulated
     order, parameters = len(simulated.dynamics.f) - 1, len(assembly.values)
     unknowns = parameters + data.unknowns(order)

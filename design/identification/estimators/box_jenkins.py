@@ -81,13 +81,13 @@ class BoxJenkinsError:
         self.unknowns = s.nb + count + self.states * len(self.runs) + (s.nf + 1 + drift) * used
 
     def polynomials(self, theta: Array) -> tuple[Array, Array, Array]:
-        """C, D and F at θ."""
+        """Return C, D and F at θ."""
         s = self.structure
         c, d, f = np.split(theta, [s.nc, s.nc + s.nd])
         return monic(c), monic(d), monic(f)
 
     def trial(self, theta: Array) -> Predicted | None:
-        """See Problem."""
+        """Find the best B for C, D and F at θ. None where one of them is not stable."""
         c, d, f = self.polynomials(theta)
         if not all(map(is_stable, (c, d, f))):
             return None
@@ -104,18 +104,18 @@ class BoxJenkinsError:
         return Predicted(float(np.sum((right - A @ linear) ** 2)), theta, linear, plant, columns, reduced)
 
     def linearised(self, trial: Predicted) -> tuple[Array, Array]:
-        """See Problem."""
+        """Return J (r, p) and e (r,): the residuals near the trial are e - J δ, up to an orthogonal part."""
         R, nb = self._reduce(self._with_slopes(trial)).shared, self.structure.nb
         return eliminated(R[:, :nb], R[:, nb:-1], R[:, -1])
 
     def sensitivities(self, trial: Predicted) -> list[Array]:
-        """Weighted derivatives (nb + nc + nd + nf, m) of the prediction on each run, nuisances eliminated."""
+        """Return the weighted derivatives (p, m) of the prediction on each run, nuisances eliminated."""
         columns = self._with_slopes(trial)
         found = projected(columns, [run.stretch for run in self.runs], self._reduce(columns))
         return [block * self._weight(run) for block, run in zip(found, self.runs, strict=True)]
 
     def errors(self, trial: Predicted) -> list[Array]:
-        """Prediction error e (m,) on each run."""
+        """Return the prediction error e (m,) on each run."""
         found = []
         for i, (block, run) in enumerate(zip(trial.columns, self.runs, strict=True)):
             shared, common = self._shared(trial), self._common(trial, run)
@@ -124,7 +124,7 @@ class BoxJenkinsError:
         return found
 
     def offsets(self, trial: Predicted) -> dict[int, Array]:
-        """Offset and drift (c,) of each experiment."""
+        """Return the offset and drift (c,) of each experiment."""
         found = {}
         for run in self.runs:
             found[self.stretches[run.stretch].experiment] = self._common(trial, run)[self.structure.nf :]
@@ -173,7 +173,7 @@ class BoxJenkinsError:
         return np.concatenate([trial.linear, [-1.0]])
 
     def _common(self, trial: Predicted, run: Run) -> Array:
-        """Initial state of the plant, offset and drift on the stretch of a run."""
+        """Return the initial state of the plant, offset and drift on the stretch of a run."""
         return trial.reduced.common_values(run.stretch, self._shared(trial))
 
     def _weight(self, run: Run) -> Array:
@@ -235,9 +235,7 @@ def fit_box_jenkins(
 
 
 def _searched(problem: BoxJenkinsError, plant: Estimate) -> Outcome[Predicted] | None:
-    """The best result from the output-error model with a noise model of its residuals, and with white
-    noise.
-    """
+    """Return the better result of two starts: a noise model of the plant's residuals, and white noise."""
     s = problem.structure
     f = coordinates(plant.discrete.f)
     starts = [np.concatenate([np.zeros(s.nc + s.nd), f])]
@@ -249,7 +247,7 @@ def _searched(problem: BoxJenkinsError, plant: Estimate) -> Outcome[Predicted] |
 
 
 def noise_start(residuals: Sequence[Array], nc: int, nd: int) -> tuple[Array, Array] | None:
-    """Coordinates of C and D for residuals C/D e, from the innovations of a long autoregression.
+    """Return the coordinates of C and D for residuals C/D e, from the innovations of a long autoregression.
 
     None where there are too few residuals (Hannan and Rissanen).
     """

@@ -57,20 +57,20 @@ class HeldPoles:
     max_step: float = 2.0
 
     def bounds(self, samples: int) -> tuple[Array, Array]:
-        """See Parametrisation."""
+        """Return the lower and upper bounds (p,) of θ for a record of this many samples."""
         low, high = self.sections.bounds(samples)
         if self.searched:
             low, high = np.append(low, 0.0), np.append(high, self.max_dead_samples)
         return low, high
 
     def dynamics(self, theta: Array) -> Dynamics:
-        """See Parametrisation."""
+        """Return the sampled dynamics at θ (p,)."""
         whole, rest = divmod(theta[-1] if self.searched else self.dead_samples, 1.0)
         f, numerators = self._sampled(theta[None], int(whole), np.array([rest]))
         return Dynamics(f[0], numerators[0] if self.max_dead_samples else numerators[0, :-1], int(whole) + 1)
 
     def slopes(self, theta: Array) -> Slopes:
-        """See Parametrisation."""
+        """Return the derivatives of the sampled dynamics by θ."""
         p = len(theta)
         steps = _STEP * np.eye(p)
         around = np.concatenate([theta + steps, theta - steps])
@@ -83,7 +83,7 @@ class HeldPoles:
         return Slopes(df[:, 1:].T, np.moveaxis(dnumerators, 0, -1))
 
     def continuous_den(self, theta: Array) -> Array:
-        """Denominator (n + 1,) in falling powers of s."""
+        """Return the denominator (n + 1,) in falling powers of s."""
         return as_polynomial([*self.sections.continuous(theta), *[np.array([1.0, 0.0])] * self.integrators])
 
     def _sampled(self, thetas: Array, whole: int, rest: Array) -> tuple[Array, Array]:
@@ -160,7 +160,7 @@ def fit_continuous(
 
 
 def _starts(data: SimulationError, model: HeldPoles) -> list[Array]:
-    """Start values of the poles, without dead time."""
+    """Return the start values of the poles, without dead time."""
 
     def family(sections: PoleSections, averaged: int = 1) -> Parametrisation:
         order = sections.order + model.integrators
@@ -172,7 +172,7 @@ def _starts(data: SimulationError, model: HeldPoles) -> list[Array]:
 
 
 def _with_dead_time(data: SimulationError, model: HeldPoles, theta: Array) -> Array:
-    """Poles and the best of a few dead times, with the poles followed from one dead time to the next."""
+    """Return the best of a few dead times and its poles, which are followed from one to the next."""
     most = model.max_dead_samples
     best, best_cost = np.append(theta, 0.0), np.inf
     for dead in np.linspace(0.0, most, min(DEAD_TIMES, int(np.ceil(most)) + 1)):

@@ -21,7 +21,7 @@ class Pair(NamedTuple):
 
 
 def correlation(pairs: Sequence[Pair], lags: int) -> tuple[Array, Array]:
-    """Sums of first(t) second(t + τ) over all records for τ = 0 … lags, and the number of terms of each.
+    """Return the sums of first(t) second(t + τ) for τ = 0 … lags, and the number of terms of each.
 
     Unknown samples must be 0.
     """
@@ -39,8 +39,9 @@ def correlation(pairs: Sequence[Pair], lags: int) -> tuple[Array, Array]:
 
 
 def autocorrelation(signals: Sequence[Array], lags: int) -> tuple[Array, int]:
-    """Autocorrelation (lags + 1,), 1 at lag 0, of signals whose missing samples are exactly 0; number of
-    samples.
+    """Return the autocorrelation (lags + 1,), 1 at lag 0, and the number of samples.
+
+    Missing samples are exactly 0.
     """
     known = [signal != 0.0 for signal in signals]
     sums, counts = correlation([Pair(e, e, k, k) for e, k in zip(signals, known, strict=True)], lags)
@@ -55,7 +56,7 @@ def autocorrelation(signals: Sequence[Array], lags: int) -> tuple[Array, int]:
 
 
 def _products(first: Array, second: Array, lags: int) -> Array:
-    """Sums of first(t) second(t + τ) for τ = 0 … lags, from blocks, so that memory stays small."""
+    """Return the sums of first(t) second(t + τ) for τ = 0 … lags, from blocks, so that memory stays small."""
     if lags < 64:
         return np.array([first[: len(first) - lag] @ second[lag:] for lag in range(lags + 1)])
     size = next_fast_len(len(first) + lags, real=True)

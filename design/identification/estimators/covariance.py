@@ -44,7 +44,7 @@ class Autoregression(NamedTuple):
 
 
 def covariance(sensitivities: Sequence[Array], residuals: Sequence[Array], unknowns: int) -> Uncertain:
-    """Covariance from weighted derivatives (p, m) and weighted residuals (m,) of each stretch.
+    """Return the covariance from weighted derivatives (p, m) and weighted residuals (m,) of each stretch.
 
     A residual of exactly 0 counts as missing. ``unknowns`` is the number of all estimated values.
     """
@@ -64,7 +64,7 @@ def covariance(sensitivities: Sequence[Array], residuals: Sequence[Array], unkno
 
 
 def noise_autoregression(residuals: Sequence[Array]) -> Autoregression:
-    """The autoregression that describes the residuals best by BIC. Order 0 if they are white."""
+    """Return the autoregression that describes the residuals best by BIC. Order 0 if they are white."""
     longest = max((len(e) for e in residuals), default=0)
     order = min(MAX_NOISE_ORDER, longest - 1, sum(map(len, residuals)) // 20)
     chosen = Autoregression(np.ones(1), 1.0)

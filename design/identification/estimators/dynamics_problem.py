@@ -23,15 +23,15 @@ class Parametrisation(Protocol):
         ...
 
     def bounds(self, samples: int) -> tuple[Array, Array]:
-        """Lower and upper bounds (p,) for a record of this many samples."""
+        """Return the lower and upper bounds (p,) of θ for a record of this many samples."""
         ...
 
     def dynamics(self, theta: Array) -> Dynamics | None:
-        """The dynamics at θ (p,). None where they are not admissible."""
+        """Return the dynamics at θ (p,). None where they are not admissible."""
         ...
 
     def slopes(self, theta: Array) -> Slopes:
-        """Their derivatives by θ."""
+        """Return the derivatives of the dynamics by θ."""
         ...
 
 
@@ -49,9 +49,7 @@ class Candidate:
 
 
 class DynamicsProblem:
-    """Simulation error as a function of θ, for
-    :func:`design.identification.estimators.levenberg_marquardt.minimise`.
-    """
+    """Simulation error as a function of θ: a Problem for ``levenberg_marquardt.minimise``."""
 
     def __init__(self, data: SimulationError, parameters: Parametrisation) -> None:
         self.data, self.parameters = data, parameters
@@ -62,13 +60,13 @@ class DynamicsProblem:
         self.residuals, self.scale = data.residuals, data.scale
 
     def trial(self, theta: Array) -> Candidate | None:
-        """See Problem."""
+        """Simulate the model at θ over the data. None where θ is not admissible."""
         dynamics = self.parameters.dynamics(theta)
         simulated = None if dynamics is None else self.data.simulate(dynamics)
         return None if simulated is None else Candidate(theta, simulated)
 
     def linearised(self, trial: Candidate) -> tuple[Array, Array]:
-        """See Problem."""
+        """Return J (r, p) and e (r,): the residuals near the trial are e - J δ, up to an orthogonal part."""
         return eliminated(*self.data.linearised(trial.simulated, self.parameters.slopes(trial.theta)))
 
 
@@ -82,18 +80,18 @@ class FreeCoefficients:
     max_step: float = np.inf
 
     def bounds(self, samples: int) -> tuple[Array, Array]:
-        """See Parametrisation."""
+        """Return the lower and upper bounds (p,) of θ for a record of this many samples."""
         return np.full(self.nf, -np.inf), np.full(self.nf, np.inf)
 
     def dynamics(self, theta: Array) -> Dynamics | None:
-        """See Parametrisation."""
+        """Return the dynamics at θ (p,). None where they are not admissible."""
         f = np.concatenate([[1.0], basis(self.nf) @ theta])
         if not (np.abs(rooted(f)) < 1.0).all():
             return None
         return Dynamics(f, basis(self.nb), self.lag)
 
     def slopes(self, theta: Array) -> Slopes:
-        """See Parametrisation."""
+        """Return the derivatives of the dynamics by θ."""
         return Slopes(basis(self.nf), np.zeros((self.nb, self.nb, self.nf)))
 
 
@@ -107,20 +105,20 @@ class FreeNumerator:
     max_step: float = 2.0
 
     def bounds(self, samples: int) -> tuple[Array, Array]:
-        """See Parametrisation."""
+        """Return the lower and upper bounds (p,) of θ for a record of this many samples."""
         return self.sections.bounds(samples)
 
     def dynamics(self, theta: Array) -> Dynamics:
-        """See Parametrisation."""
+        """Return the dynamics at θ (p,). None where they are not admissible."""
         return Dynamics(self.sections.f(theta), np.eye(self.nb), self.lag)
 
     def slopes(self, theta: Array) -> Slopes:
-        """See Parametrisation."""
+        """Return the derivatives of the dynamics by θ."""
         return Slopes(self.sections.f_and_slopes(theta)[1][1:], np.zeros((self.nb, self.nb, len(theta))))
 
 
 def eliminated(A: Array, J: Array, e: Array) -> tuple[Array, Array]:
-    """J and e without the part that the columns of A, which enter linearly, explain."""
+    """Return J and e without the part that the columns of A, which enter linearly, explain."""
     sizes = np.linalg.norm(A, axis=0)
     Q = np.linalg.qr(A / np.where(sizes > 0.0, sizes, 1.0))[0]
     return J - Q @ (Q.T @ J), e - Q @ (Q.T @ e)

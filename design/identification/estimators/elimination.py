@@ -35,12 +35,12 @@ class Reduced(NamedTuple):
     """Upper triangle (p, p) over the shared columns. Its last column is the output's."""
 
     def common_values(self, experiment: int, shared: Array) -> Array:
-        """Offset and drift (c,) of an experiment, for the values (p,) that multiply the shared columns."""
+        """Return the offset and drift (c,) of an experiment, for values (p,) of the shared columns."""
         rows = self.common[experiment]
         return solved(rows[:, : self.layout.common], -rows[:, self.layout.common :] @ shared)
 
     def local_values(self, stretch: int, common: Array, shared: Array) -> Array:
-        """Initial state (n,) of a stretch, for the values of its experiment and of the shared columns."""
+        """Return the initial state (n,) of a stretch, for values of the other columns."""
         rows, n = self.local[stretch], self.layout.local
         right = rows[:, n : n + self.layout.common] @ common + rows[:, n + self.layout.common :] @ shared
         return solved(rows[:, :n], -right)
@@ -70,7 +70,7 @@ def reduce(columns: Sequence[Array], experiments: Sequence[int], layout: Layout)
 
 
 def projected(columns: Sequence[Array], experiments: Sequence[int], reduced: Reduced) -> list[Array]:
-    """The shared columns (p - 1, m) of each stretch without what the other unknowns explain of them.
+    """Return the shared columns (p - 1, m) of each stretch without what the other unknowns explain of them.
 
     The last shared column, the output's, is left out.
     """
@@ -85,6 +85,6 @@ def projected(columns: Sequence[Array], experiments: Sequence[int], reduced: Red
 
 
 def _square(R: Array) -> Array:
-    """R with rows of zeros below, where fewer rows than columns remained."""
+    """Return R with rows of zeros below, where fewer rows than columns remained."""
     missing = R.shape[1] - len(R)
     return np.concatenate([R, np.zeros((missing, R.shape[1]))]) if missing > 0 else R

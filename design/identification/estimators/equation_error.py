@@ -74,7 +74,7 @@ class EquationError:
         self.unknowns = na + nb + nc + offsets + nc * len(self.runs)
 
     def trial(self, theta: Array) -> Predicted | None:
-        """See Problem."""
+        """Find the best A and B for C at θ. None where C is not stable."""
         c = monic(theta)
         if not is_stable(c):
             return None
@@ -92,20 +92,20 @@ class EquationError:
         return Predicted(float(np.sum((right - A @ linear) ** 2)), theta, linear, columns, reduced)
 
     def linearised(self, trial: Predicted) -> tuple[Array, Array]:
-        """See Problem."""
+        """Return J (r, p) and e (r,): the residuals near the trial are e - J δ, up to an orthogonal part."""
         R = self._reduce(self._with_slopes(trial)).shared
         linear = self.na + self.nb
         return eliminated(R[:, :linear], R[:, linear:-1], R[:, -1])
 
     def sensitivities(self, trial: Predicted) -> list[Array]:
-        """Weighted derivatives (na + nb + nc, m) of the prediction on each run, nuisances eliminated."""
+        """Return the weighted derivatives (p, m) of the prediction on each run, nuisances eliminated."""
         columns = self._with_slopes(trial)
         experiments = [run.experiment for run in self.runs]
         found = projected(columns, experiments, self._reduce(columns))
         return [block * run.root_weight for block, run in zip(found, self.runs, strict=True)]
 
     def errors(self, trial: Predicted) -> list[Array]:
-        """Prediction error e (m,) on each run."""
+        """Return the prediction error e (m,) on each run."""
         shared = np.concatenate([trial.linear, [-1.0]])
         found = []
         for i, (block, run) in enumerate(zip(trial.columns, self.runs, strict=True)):
@@ -115,7 +115,7 @@ class EquationError:
         return found
 
     def offset(self, trial: Predicted, experiment: int) -> Array:
-        """Offset and drift (c,) of an experiment on the right side of A y = B u + …"""
+        """Return the offset and drift (c,) of an experiment on the right side of A y = B u + …"""
         return trial.reduced.common_values(experiment, np.concatenate([trial.linear, [-1.0]]))
 
     def _with_slopes(self, trial: Predicted) -> list[Array]:
@@ -195,7 +195,7 @@ def fit_equation_error(
 def _runs(
     index: int, experiment: Experiment, na: int, nb: int, nk: int, drift: bool, shortest: int
 ) -> list[Run]:
-    """Runs of rows in which every value is known."""
+    """Return the runs of rows in which every value is known."""
     pad = np.full(max(na, nk + nb), np.nan)
     y = np.concatenate([pad, np.where(experiment.observed, experiment.y, np.nan)])
     u = np.concatenate([pad, experiment.u])
@@ -213,7 +213,7 @@ def _runs(
 
 
 def _noise_start(experiments: Sequence[Experiment], structure: Arx | Armax, nc: int, drift: bool) -> Array:
-    """Coordinates of C from the residuals of a long ARX model (Hannan and Rissanen)."""
+    """Return the coordinates of C from the residuals of a long ARX model (Hannan and Rissanen)."""
     na, nb, nk = structure.na, structure.nb, structure.nk
     long = EquationError(experiments, LONG_AUTOREGRESSION + na, LONG_AUTOREGRESSION + nb, 0, nk, drift)
     if long.residuals < 4 * long.unknowns:

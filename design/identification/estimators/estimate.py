@@ -99,7 +99,7 @@ class Estimate:
 def offsets_of(
     discrete: DiscreteModel, experiments: Sequence[Experiment], common: dict[int, Array], integrators: int
 ) -> tuple[Offsets, ...]:
-    """Offsets from the powers of the relative time (-0.5 to 0.5) that were fitted to each experiment."""
+    """Return the offsets, from the powers of the relative time that were fitted to each experiment."""
     found = []
     for index, experiment in enumerate(experiments):
         values = common.get(index)
@@ -122,5 +122,5 @@ def offsets_of(
 
 
 def _without_integrator(f: Array) -> Array:
-    """f / (1 - z^-1) for f with a root at z = 1."""
+    """Return f / (1 - z^-1) for f with a root at z = 1."""
     return np.cumsum(f)[:-1]

@@ -34,8 +34,7 @@ def fit(experiments: Sequence[Experiment], structure: Structure, *, drift: bool 
         if abs(experiment.sample_time_s / period - 1.0) > 1e-6:
             raise DesignError(
                 f"{experiment.name}: sample time {experiment.sample_time_s:g} s, but {experiments[0].name} "
-                f"has {period:g} s; "
-                "one fit needs experiments of one sample time"
+                f"has {period:g} s; one fit needs experiments of one sample time"
             )
     match structure:
         case OutputError():

@@ -81,9 +81,7 @@ def minimise(
     tolerance: float = STATISTICAL_TOLERANCE,
     max_rounds: int = MAX_ROUNDS,
 ) -> Outcome[TrialT] | None:
-    """Search the parameters of least cost from ``start`` (p,). None where the start itself is not
-    admissible.
-    """
+    """Search the parameters of least cost from ``start`` (p,). None where the start is not admissible."""
     theta = np.clip(start, problem.lower, problem.upper)
     trial = problem.trial(theta)
     if trial is None:
@@ -123,7 +121,7 @@ def minimise(
 
 
 def _held(theta: Array, descent: Array, problem: Problem[TrialT]) -> Flags:
-    """Parameters (p,) at a bound which the descent direction leads out of."""
+    """Return the parameters (p,) at a bound which the descent direction leads out of."""
     width = 1e-9 * (1.0 + np.abs(theta))
     low = (theta <= problem.lower + width) & (descent < 0.0)
     high = (theta >= problem.upper - width) & (descent > 0.0)
@@ -131,7 +129,7 @@ def _held(theta: Array, descent: Array, problem: Problem[TrialT]) -> Flags:
 
 
 def _explained(J: Array, e: Array) -> float:
-    """Part of the sum of squares of e that a linear combination of J's columns explains."""
+    """Return the part of the sum of squares of e that a linear combination of J's columns explains."""
     if not J.size:
         return 0.0
     sizes = np.linalg.norm(J, axis=0)
@@ -141,6 +139,6 @@ def _explained(J: Array, e: Array) -> float:
 
 
 def _damped(J: Array, e: Array, damping: Array) -> Array:
-    """Step (p,) that minimises |e - J δ|² + |damping δ|²."""
+    """Return the step (p,) that minimises |e - J δ|² + |damping δ|²."""
     rows = np.concatenate([J, np.diag(damping)])
     return np.asarray(np.linalg.lstsq(rows, np.concatenate([e, np.zeros(len(damping))]), rcond=None)[0])

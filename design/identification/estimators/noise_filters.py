@@ -17,22 +17,22 @@ _INSIDE = 0.9999
 
 
 def monic(theta: Array) -> Array:
-    """The polynomial (n + 1,) in rising powers of z^-1."""
+    """Return the polynomial (n + 1,) in rising powers of z^-1."""
     return np.concatenate([[1.0], basis(len(theta)) @ theta])
 
 
 def coordinates(polynomial: Array) -> Array:
-    """The coordinates θ (n,) of a polynomial in rising powers of z^-1."""
+    """Return the coordinates θ (n,) of a polynomial in rising powers of z^-1."""
     return np.asarray(basis(len(polynomial) - 1) @ polynomial[1:])
 
 
 def is_stable(polynomial: Array) -> bool:
-    """True if all roots in z lie inside the unit circle."""
+    """Return True if all roots in z lie inside the unit circle."""
     return bool((np.abs(rooted(polynomial)) < 1.0).all())
 
 
 def stabilised(polynomial: Array) -> Array:
-    """The polynomial with its roots reflected into the unit circle."""
+    """Return the polynomial with its roots reflected into the unit circle."""
     z = np.roots(polynomial)
     sizes = np.abs(z)
     outside = sizes > _INSIDE
@@ -43,7 +43,7 @@ def stabilised(polynomial: Array) -> Array:
 
 
 def past(signal: Array, count: int) -> Array:
-    """The signal (m,) one to ``count`` samples before, as rows (count, m). NaN before its beginning."""
+    """Return the signal (m,) one to ``count`` samples before, as rows (count, m). NaN at first."""
     padded = np.concatenate([np.full(count, np.nan), signal])
     rows = [padded[count - j : len(padded) - j] for j in range(1, count + 1)]
     return np.array(rows).reshape(count, len(signal))

@@ -63,7 +63,7 @@ def fit_output_error(
 def _polished(
     problem: DynamicsProblem, family: FreeCoefficients, f: Array, structure: str
 ) -> Outcome[Candidate]:
-    """The end of a search in the coefficients of F, or its start where rounding makes that look unstable."""
+    """Return the end of a search in the coefficients of F, or its start where rounding forbids one."""
     theta = basis(len(f) - 1) @ f[1:]
     outcome = minimise(problem, theta)
     if outcome is not None:
@@ -77,7 +77,7 @@ def _polished(
 
 
 def _start(data: SimulationError, structure: OutputError) -> Array:
-    """F (nf + 1,) from the search in logarithms of the poles."""
+    """Return F (nf + 1,) from the search in logarithms of the poles."""
     nb, nf, nk = structure.nb, structure.nf, structure.nk
     if nf == 0:
         return np.ones(1)

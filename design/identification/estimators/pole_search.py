@@ -49,9 +49,7 @@ class Start(NamedTuple):
 
 
 def search_poles(data: SimulationError, sections: PoleSections, family: Family) -> list[Start]:
-    """Return start values for the poles of ``sections``, best first. Empty where no candidate is
-    admissible.
-    """
+    """Return start values for the poles, best first. Empty where no candidate is admissible."""
     found = [Start(np.inf, np.zeros(0))]
     for smaller in _growing(sections):
         problem = DynamicsProblem(data, family(smaller))
@@ -64,7 +62,7 @@ def search_poles(data: SimulationError, sections: PoleSections, family: Family) 
 
 
 def _colour(problem: DynamicsProblem, start: Start) -> float:
-    """Correlation of neighbouring residuals. Dynamics that were missed leave slow or oscillating ones."""
+    """Return the correlation of neighbouring residuals. Dynamics that were missed make it large."""
     trial = problem.trial(start.theta)
     if trial is None:
         return 0.0
@@ -73,7 +71,7 @@ def _colour(problem: DynamicsProblem, start: Start) -> float:
 
 
 def _growing(sections: PoleSections) -> Iterable[PoleSections]:
-    """The smaller sets of poles that lead to ``sections``: the real poles first, then pair after pair."""
+    """Yield the smaller sets of poles that lead to ``sections``: real poles first, then pair after pair."""
     for real in range(1, sections.real + 1):
         yield PoleSections(real, 0, sections.sample_time_s)
     for pairs in range(1, sections.pairs + 1):
@@ -81,7 +79,7 @@ def _growing(sections: PoleSections) -> Iterable[PoleSections]:
 
 
 def _grid(problem: DynamicsProblem, pair: bool) -> list[Array]:
-    """Values of one section, over the frequencies that the record can show."""
+    """Return the values of one section, over the frequencies that the record can show."""
     T = problem.sample_time_s
     logs = np.log(np.geomspace(1.0 / problem.longest, 2.5, FREQUENCIES) / T)
     if not pair:
@@ -95,14 +93,14 @@ def _with_one_more(theta: Array, sections: PoleSections, problem: DynamicsProble
 
 
 def _evaluated(problem: DynamicsProblem, thetas: Iterable[Array]) -> list[Start]:
-    """The admissible candidates, best first."""
+    """Return the admissible candidates, best first."""
     trials = [(problem.trial(theta), theta) for theta in thetas]
     found = [Start(trial.cost, theta) for trial, theta in trials if trial is not None]
     return sorted(found, key=lambda start: start.cost)
 
 
 def _improved(problem: DynamicsProblem, sections: PoleSections, starts: Iterable[Start]) -> list[Start]:
-    """The different optima that are reached from the starts, best first."""
+    """Return the different optima that are reached from the starts, best first."""
     found: list[Start] = []
     for start in starts:
         best = improved(problem, sections, start.theta, ROUGHLY)
@@ -114,7 +112,7 @@ def _improved(problem: DynamicsProblem, sections: PoleSections, starts: Iterable
 def improved(
     problem: DynamicsProblem, sections: PoleSections, theta: Array, tolerance: float
 ) -> Start | None:
-    """The optimum that is reached from θ, through a new grouping of the real poles where that leads further.
+    """Return the optimum that is reached from θ, if need be through a new grouping of the real poles.
 
     Two equal poles in different sections cannot become a complex pair, and the slope there is 0.
     """
@@ -131,7 +129,7 @@ def improved(
 
 
 def _searched_again(problem: DynamicsProblem, sections: PoleSections, best: Start) -> Start:
-    """The best result of taking out one section after the other and searching it on the grid."""
+    """Return the best result of taking out one section after the other and searching it on the grid."""
     for span in sections.spans:
         thetas = []
         for values in _grid(problem, pair=span.stop - span.start == 2):

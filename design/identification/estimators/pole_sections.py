@@ -29,7 +29,7 @@ class PoleSections:
 
     @classmethod
     def of_order(cls, order: int, sample_time_s: float) -> PoleSections:
-        """As many pairs as the order holds, and a real pole if it is odd."""
+        """Return the sections with as many pairs as the order holds, and a real pole if it is odd."""
         return cls(order % 2, order // 2, sample_time_s)
 
     @property
@@ -44,7 +44,7 @@ class PoleSections:
         return [*(slice(i, i + 1) for i in range(self.real)), *pairs]
 
     def bounds(self, samples: int) -> tuple[Array, Array]:
-        """Lower and upper bounds of θ for a record of this many samples."""
+        """Return the lower and upper bounds of θ for a record of this many samples."""
         T = self.sample_time_s
         low = [np.log(1e-3 / (samples * T))] * self.real + [
             np.log(1e-2 / (samples * T)),
@@ -54,11 +54,11 @@ class PoleSections:
         return np.array(low), np.array(high)
 
     def f(self, theta: Array) -> Array:
-        """F (n + 1,) in powers of z^-1."""
+        """Return F (n + 1,) in powers of z^-1."""
         return self.f_and_slopes(theta)[0]
 
     def f_and_slopes(self, theta: Array) -> tuple[Array, Array]:
-        """F (n + 1,) and dF/dθ (n + 1, p)."""
+        """Return F (n + 1,) and dF/dθ (n + 1, p)."""
         sections, slopes = [], []
         for log_p in theta[: self.real]:
             a = np.exp(log_p) * self.sample_time_s
@@ -81,7 +81,7 @@ class PoleSections:
         return f, np.array(columns).T.reshape(len(f), len(theta))
 
     def continuous(self, theta: Array) -> list[Array]:
-        """Sections (1, p) and (1, 2ζω, ω²) of the continuous denominator, in falling powers of s."""
+        """Return the sections (1, p) and (1, 2ζω, ω²) of the continuous denominator."""
         sections = [np.array([1.0, np.exp(log_p)]) for log_p in theta[: self.real]]
         for log_omega, log_zeta in theta[self.real :].reshape(-1, 2):
             omega = np.exp(log_omega)
@@ -90,7 +90,7 @@ class PoleSections:
 
 
 def _pair(g: float, zeta: float) -> tuple[Array, Array, Array]:
-    """The section with poles of s² + 2ζg s + g² at sample time 1, and its slopes by log g and log ζ."""
+    """Return the sampled section of s² + 2ζg s + g² at sample time 1, and its slopes by log g, log ζ."""
     a = zeta * g
     d = g * g - a * a
     if d > 0.0:
@@ -109,11 +109,9 @@ def _pair(g: float, zeta: float) -> tuple[Array, Array, Array]:
 
 
 def from_poles(poles: ComplexArray, sections: PoleSections) -> Array | None:
-    """θ of ``sections`` for continuous poles s (n,). None where they do not fit its numbers of poles and
-    pairs.
+    """Return θ of ``sections`` for continuous poles s (n,). None where their numbers do not fit.
 
-    Unstable poles are reflected. Of the real poles the slowest stand alone, and the others are paired by
-    size.
+    Unstable poles are reflected. Of the real poles the slowest stand alone; the others are paired by size.
     """
     floor = 1e-9 / sections.sample_time_s
     upper = [complex(-abs(s.real), s.imag) for s in poles if s.imag > 1e-12 * abs(s)]
@@ -131,7 +129,7 @@ def from_poles(poles: ComplexArray, sections: PoleSections) -> Array | None:
 
 
 def regrouped(sections: PoleSections, theta: Array) -> Array:
-    """θ for the same poles, with real poles of similar size in one pair."""
+    """Return θ for the same poles, with real poles of similar size in one pair."""
     poles = np.concatenate([np.roots(section) for section in sections.continuous(theta)])
     found = from_poles(poles.astype(np.complex128), sections)
     return theta if found is None else found

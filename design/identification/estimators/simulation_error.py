@@ -64,9 +64,7 @@ class Simulated:
     reduced: Reduced
 
     def with_gains(self, gains: Array) -> Simulated:
-        """Return these dynamics with given factors of the numerators. The cost is no longer that of these
-        factors.
-        """
+        """Return the candidate with other factors (v,) of the numerators. Its cost is not theirs."""
         return replace(self, gains=gains)
 
     @property
@@ -107,7 +105,7 @@ class SimulationError:
         self._whole = [bool((s.root_weight == 1.0).all()) for s in self.stretches]
 
     def unknowns(self, order: int) -> int:
-        """Number of nuisance unknowns with F of this order: initial states, offsets, drifts."""
+        """Return the number of nuisance unknowns with F of this order: initial states, offsets, drifts."""
         offsets = len({s.experiment for s in self.stretches}) * len(self.powers)
         return order * len(self.stretches) + offsets
 
@@ -137,8 +135,9 @@ class SimulationError:
         return Simulated(float(np.sum((right - A @ gains) ** 2)), dynamics, gains, columns, reduced)
 
     def linearised(self, simulated: Simulated, slopes: Slopes) -> tuple[Array, Array, Array]:
-        """Return A (r, v), J (r, p), e (r,): the residuals are e - A dgains - J dθ, up to an orthogonal
-        part.
+        """Return A (r, v), J (r, p) and e (r,).
+
+        The residuals near the candidate are e - A dgains - J dθ, up to an orthogonal part.
         """
         n, nb = len(simulated.dynamics.f) - 1, len(simulated.dynamics.numerators)
         blocks = []
@@ -154,7 +153,7 @@ class SimulationError:
         return A, J, R[:, -1]
 
     def sensitivities(self, simulated: Simulated, slopes: Slopes) -> list[Array]:
-        """Weighted derivatives (v + p, m) of the model output on each stretch, nuisances eliminated."""
+        """Return the weighted derivatives (v + p, m) of the output on each stretch, nuisances eliminated."""
         n, c = len(simulated.dynamics.f) - 1, len(self.powers)
         columns = []
         for block, fitted in zip(simulated.columns, self.fitted(simulated), strict=True):
@@ -166,7 +165,7 @@ class SimulationError:
         return [block * stretch.root_weight for block, stretch in zip(found, self.stretches, strict=True)]
 
     def fitted(self, simulated: Simulated) -> list[Fitted]:
-        """Model output and residual on each stretch."""
+        """Return the model output and residual on each stretch."""
         n, nb, c = len(simulated.dynamics.f) - 1, len(simulated.dynamics.numerators), len(self.powers)
         beta = basis(nb) @ simulated.b
         shared = np.concatenate([beta, [-1.0]])
@@ -180,14 +179,14 @@ class SimulationError:
         return found
 
     def outputs(self, simulated: Simulated) -> list[tuple[Stretch, Array]]:
-        """Model output (m,) with initial state, offset and drift on each stretch."""
+        """Return the model output (m,) with initial state, offset and drift on each stretch."""
         found = []
         for fitted, powers in zip(self.fitted(simulated), self._common, strict=True):
             found.append((fitted.stretch, fitted.motion + fitted.common @ powers))
         return found
 
     def _chained(self, X: Array, S: Array, simulated: Simulated, slopes: Slopes) -> tuple[Array, Array]:
-        """Columns of the gains and of the parameters, from those of B's and F's coefficients."""
+        """Return the columns of the gains and of the parameters, from those of B's and F's coefficients."""
         V = basis(X.shape[1])
         A = X @ (V @ simulated.dynamics.numerators)
         J = S @ (basis(S.shape[1]) @ slopes.f)
@@ -203,7 +202,7 @@ class SimulationError:
         return reduce(weighted, [stretch.experiment for stretch in self.stretches], layout)
 
     def _powers_of_time(self, stretch: Stretch) -> Array:
-        """Powers (c, m) of the time, -0.5 to 0.5 over the experiment."""
+        """Return the powers (c, m) of the time, -0.5 to 0.5 over the experiment."""
         count = max(len(self.experiments[stretch.experiment]), 2)
         t = np.arange(stretch.start, stretch.start + len(stretch)) / (count - 1) - 0.5
         return np.array([t**power for power in self.powers])

@@ -28,12 +28,12 @@ class Family(Protocol):
     """Models that differ in their poles, as functions of the number of poles."""
 
     def __call__(self, sections: PoleSections, averaged: int = 1, /) -> Parametrisation:
-        """The model with these poles, for data of which ``averaged`` samples each were averaged."""
+        """Return the model with these poles, for data of which ``averaged`` samples each were averaged."""
         ...
 
 
 def start_values(data: SimulationError, sections: PoleSections, family: Family) -> list[Array]:
-    """Start values of the poles: those of a few candidates, or of the best one if the record is long."""
+    """Return start values of the poles: a few candidates, or the best one alone if the record is long."""
     total = sum(map(len, data.experiments))
     if total <= SEARCH_SAMPLES:
         return [start.theta for start in search_poles(data, sections, family)]
@@ -58,7 +58,7 @@ def start_values(data: SimulationError, sections: PoleSections, family: Family) 
 
 
 def excerpts(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Return an equal share of each experiment, where its input moves most."""
+    """Return the same share of each experiment, from where its input moves most."""
     total = sum(map(len, experiments))
     return [
         _liveliest(experiment, max(1, len(experiment) * SEARCH_SAMPLES // total))
@@ -76,7 +76,7 @@ def _liveliest(experiment: Experiment, samples: int) -> Experiment:
 
 
 def averages(experiments: Sequence[Experiment], factor: int) -> list[Experiment]:
-    """Averages over ``factor`` samples each. An average over an unknown sample is unknown."""
+    """Return averages over ``factor`` samples each. An average over an unknown sample is unknown."""
     found = []
     for experiment in experiments:
         rows = len(experiment) // factor

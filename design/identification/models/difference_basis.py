@@ -17,7 +17,7 @@ from design.mathematics.polynomials import Array
 
 @lru_cache
 def basis(count: int) -> Array:
-    """Matrix V (n, n) from coefficients of (1 - z^-1)^i to coefficients of z^-i. It is its own inverse."""
+    """Return the matrix V (n, n) from coefficients of (1 - z^-1)^i to those of z^-i. V is its own inverse."""
     V = np.array([[(-1.0) ** i * comb(j, i) for j in range(count)] for i in range(count)]).reshape(
         count, count
     )
@@ -26,7 +26,7 @@ def basis(count: int) -> Array:
 
 
 def differences(signal: Array, count: int, lag: int) -> Array:
-    """The signal (m,), delayed by ``lag`` samples, and its first ``count - 1`` differences (count, m).
+    """Return the signal (m,), delayed by ``lag`` samples, and its first ``count - 1`` differences (count, m).
 
     The signal is 0 before its first sample.
     """

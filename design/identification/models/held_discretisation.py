@@ -18,14 +18,18 @@ from design.identification.models.model import ContinuousModel, DiscreteModel
 from design.mathematics.matrix_exponential import exponential
 from design.mathematics.polynomials import Array
 
+_ROUNDING = 1e-9
+"""Distance in samples of a dead time from a whole number that counts as rounding."""
+
 
 def held_numerators(
     dens: Array, f: Array, whole: int, rest: Array, count: int, sample_time_s: float
 ) -> Array:
-    """Sampled numerators (k, n + 1, count) of s^0 … s^(count - 1) over each of k denominators, count <= n.
+    """Return the sampled numerators (k, n + 1, count) of s^0 … s^(count - 1) over each of k denominators.
 
-    ``dens`` (k, n + 1) is monic in falling powers of s, ``f`` (k, n + 1) its sampled counterpart in powers of
-    z^-1. The dead time is ``whole`` + ``rest`` (k,) samples; the first coefficient multiplies z^-(whole + 1).
+    ``dens`` (k, n + 1) is monic in falling powers of s, ``f`` (k, n + 1) its sampled counterpart in powers
+    of z^-1; count <= n. The dead time is ``whole`` + ``rest`` (k,) samples, and the first coefficient
+    multiplies z^-(whole + 1).
     """
     k, n, T = len(dens), dens.shape[-1] - 1, sample_time_s
     # Time is scaled by the fastest pole, so that no entry of the companion matrix dwarfs the others.
@@ -60,7 +64,10 @@ def hold(model: ContinuousModel, sample_time_s: float) -> DiscreteModel:
     den = np.asarray(model.den, dtype=float) / model.den[0]
     num = np.asarray(model.num, dtype=float)[::-1] / model.den[0]
     n = len(den) - 1
-    whole, rest = divmod(model.dead_time_s / sample_time_s, 1.0)
+    dead = model.dead_time_s / sample_time_s
+    if abs(dead - round(dead)) < _ROUNDING:
+        dead = float(round(dead))
+    whole, rest = divmod(dead, 1.0)
     # Factors 1 - exp(sT) z^-1 in powers of 1 - z^-1, where slow poles keep their digits.
     differences = np.ones(1, dtype=np.complex128)
     for pole in np.roots(den) * sample_time_s:

@@ -24,8 +24,7 @@ from design.mathematics.polynomials import Array, from_roots
 _ON_THE_AXIS = 1e-7
 """Largest argument, as a distance from π, of a pole that counts as lying on the negative real axis."""
 _ROUNDING = 1e-11
-"""Share of the largest term, at the speed of the fastest pole, below which a leading coefficient is
-rounding."""
+"""Share of the largest term at the fastest pole below which a leading coefficient is rounding."""
 _AT_ZERO = 1e-12
 """Largest modulus of a pole that counts as lying at 0."""
 
@@ -50,8 +49,7 @@ def invert_hold(model: DiscreteModel) -> ContinuousModel:
     if len(b) > n + (lag == 0):
         raise NoContinuousModelError(
             f"{len(b)} coefficients in B with {n} poles: no continuous model of order {n} behind a "
-            "zero-order "
-            f"hold has them; choose nb <= {n}, or a continuous structure with a dead time"
+            f"zero-order hold has them; choose nb <= {n}, or a continuous structure with a dead time"
         )
     f = model.f[: n + 1]
     direct = float(b[0]) if lag == 0 else 0.0
@@ -66,7 +64,7 @@ def invert_hold(model: DiscreteModel) -> ContinuousModel:
 
 
 def _continuous_numerator(den: Array, f: Array, b: Array, sample_time_s: float) -> Array:
-    """Numerator (n,) in falling powers of s, whose sampled image over f is b (n,)."""
+    """Return the numerator (n,) in falling powers of s, whose sampled image over f is b (n,)."""
     n = len(den) - 1
     if n == 0:
         return np.zeros(0)
@@ -86,7 +84,6 @@ def _check_poles(model: DiscreteModel) -> None:
         if abs(abs(np.angle(z)) - np.pi) < _ON_THE_AXIS:
             raise NoContinuousModelError(
                 f"a pole at z = {z.real:.4g}, on the negative real axis: no continuous model of order "
-                f"{model.order} behind a zero-order hold of {T:g} s has it; lower nf, sample faster, or use "
-                "a "
-                "continuous structure"
+                f"{model.order} behind a zero-order hold of {T:g} s has it; lower nf, sample faster, or "
+                "use a continuous structure"
             )

@@ -64,19 +64,19 @@ class DiscreteModel:
             return float(np.divide(self.b.sum(), self.f.sum()))
 
     def at(self, omega_rad_s: ArrayLike) -> ComplexArray:
-        """Frequency response (k,) from the held input to the sampled output, at frequencies in rad/s."""
+        """Return the frequency response (k,) from held input to sampled output, at frequencies in rad/s."""
         delta = -np.expm1(-1j * np.asarray(omega_rad_s, dtype=float) * self.sample_time_s)
         pair = [np.polynomial.polynomial.polyval(delta, basis(len(p)) @ p) for p in (self.b, self.f)]
         return np.asarray((1.0 - delta) ** self.nk * pair[0] / pair[1])
 
     def noise_at(self, omega_rad_s: ArrayLike) -> ComplexArray:
-        """Frequency response (k,) of the noise model C/D."""
+        """Return the frequency response (k,) of the noise model C/D."""
         inverse = np.exp(-1j * np.asarray(omega_rad_s, dtype=float) * self.sample_time_s)
         pair = [np.polynomial.polynomial.polyval(inverse, p) for p in (self.c, self.d)]
         return np.asarray(pair[0] / pair[1])
 
     def simulate(self, u: ArrayLike) -> Array:
-        """Output (N,) without noise for the input (N,), from rest at 0."""
+        """Return the output (N,) without noise for the input (N,), from rest at 0."""
         from scipy.signal import lfilter
 
         column = np.asarray(u, dtype=float)
@@ -108,13 +108,13 @@ class ContinuousModel:
             return float(np.divide(self.num[-1], self.den[-1]))
 
     def at(self, omega_rad_s: ArrayLike) -> ComplexArray:
-        """Frequency response (k,) at frequencies in rad/s."""
+        """Return the frequency response (k,) at frequencies in rad/s."""
         s = 1j * np.asarray(omega_rad_s, dtype=float)
         return np.asarray(np.polyval(self.num, s) / np.polyval(self.den, s) * np.exp(-self.dead_time_s * s))
 
 
 def rooted(p: Array) -> ComplexArray:
-    """Roots in z of a polynomial in rising powers of z^-1, accurate near z = 1."""
+    """Return the roots in z of a polynomial in rising powers of z^-1, accurate near z = 1."""
     differences = _roots_of_differences(p)
     with np.errstate(divide="ignore", invalid="ignore"):
         z = 1.0 / (1.0 - differences)
@@ -122,19 +122,22 @@ def rooted(p: Array) -> ComplexArray:
 
 
 def logarithms(p: Array, sample_time_s: float) -> ComplexArray:
-    """Continuous poles log(z)/T in rad/s of a polynomial in rising powers of z^-1, accurate near z = 1."""
+    """Return the continuous poles log(z)/T in rad/s of a polynomial in rising powers of z^-1.
+
+    They are accurate near z = 1.
+    """
     differences = _roots_of_differences(p)
     differences = differences[np.abs(differences - 1.0) > 1e-14]
     return np.asarray(-np.log1p(-differences) / sample_time_s)
 
 
 def _roots_of_differences(p: Array) -> ComplexArray:
-    """Roots of p in 1 - z^-1."""
+    """Return the roots of p in 1 - z^-1."""
     return np.asarray(np.roots((basis(len(p)) @ p)[::-1]), dtype=np.complex128)
 
 
 def as_polynomial(sections: Sequence[Array]) -> Array:
-    """Product of sections in falling powers."""
+    """Return the product of sections in falling powers."""
     product = np.ones(1)
     for section in sections:
         product = np.convolve(product, section)

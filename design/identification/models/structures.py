@@ -92,8 +92,7 @@ class ContinuousPoles:
     zeros: int = 0
     integrators: int = 0
     max_dead_time_s: float = 0.0
-    """Upper bound of the dead time τ, which is estimated and need not be whole samples. 0 means no dead
-    time."""
+    """Largest dead time τ of the search. τ need not be whole samples. 0 means no dead time."""
 
     def __post_init__(self) -> None:
         counts = {
@@ -154,8 +153,8 @@ _ORDERS: dict[str, tuple[type[OutputError | Arx | Armax | BoxJenkins], int]] = {
     "BJ": (BoxJenkins, 5),
 }
 FORMS = (
-    "OE(nb,nf,nk), ARX(na,nb,nk), ARMAX(na,nb,nc,nk), BJ(nb,nc,nd,nf,nk) or "
-    "continuous(real=1, pairs=1, zeros=0, integrators=0, max_dead_time_s=0)"
+    "OE(nb,nf,nk), ARX(na,nb,nk), ARMAX(na,nb,nc,nk), BJ(nb,nc,nd,nf,nk) or continuous(real=1, pairs=1, "
+    "zeros=0, integrators=0, max_dead_time_s=0)"
 )
 """How structures are written."""
 

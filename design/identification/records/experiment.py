@@ -53,8 +53,8 @@ class Experiment:
         u, y = _column(self.u, self.name, self.names.u), _column(self.y, self.name, self.names.y)
         if len(u) != len(y):
             raise DesignError(
-                f"{self.name}: {self.names.u} has {len(u)} samples and {self.names.y} has {len(y)}; "
-                "both need one value for each period"
+                f"{self.name}: {self.names.u} has {len(u)} samples and {self.names.y} has {len(y)}; both "
+                "need one value for each period"
             )
         period = float(self.sample_time_s)
         if not (np.isfinite(period) and period > 0.0):
@@ -122,7 +122,7 @@ class Experiment:
 
 
 def _column(values: ArrayLike, record: str, signal: str) -> Array:
-    """A copy as floats, NaN for everything that is not finite. Raises DesignError."""
+    """Return a copy as floats, NaN for everything that is not finite. Raises DesignError."""
     try:
         if np.iscomplexobj(values):
             raise TypeError
@@ -159,7 +159,7 @@ class Stretch(NamedTuple):
 
 
 def stretches(experiments: Sequence[Experiment], skipped: int = 0) -> list[Stretch]:
-    """The stretches of all experiments that have an output sample which counts.
+    """Return the stretches of all experiments that have an output sample which counts.
 
     The first ``skipped`` samples of a stretch do not count, since they depend on unknown earlier inputs.
     """
@@ -179,7 +179,7 @@ def stretches(experiments: Sequence[Experiment], skipped: int = 0) -> list[Stret
 
 
 def runs(flags: Flags) -> Iterator[tuple[int, int]]:
-    """Start and end (exclusive) of each run of true values."""
+    """Return the start and end (exclusive) of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     for first, last in edges.reshape(-1, 2):
         yield int(first), int(last)

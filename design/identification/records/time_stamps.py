@@ -13,8 +13,7 @@ from design.identification.records.experiment import Experiment, Names
 from design.mathematics.polynomials import Array
 
 TOLERANCE = 0.25
-"""Largest distance of a row from its place on the grid, in sample times, at which it still counts as a
-sample."""
+"""Largest distance of a row from its place on the grid, in sample times, at which it counts."""
 MAX_IRREGULAR = 0.02
 """Share of rows off the grid above which the times are reported."""
 REFUSED_IRREGULAR = 0.5
@@ -72,9 +71,8 @@ def from_time_stamps(
     length = int(index.max()) + 1
     if length > MAX_GAP_FACTOR * len(t):
         raise DesignError(
-            f"{name}: {len(t)} rows span {length} sample times of {period:.6g} s; check the sample time and "
-            "the unit of "
-            "the times (seconds)"
+            f"{name}: {len(t)} rows span {length} sample times of {period:.6g} s; check the sample time "
+            "and the unit of the times (seconds)"
         )
     clock = np.polyfit(index, t, 1) if index[-1] else np.array([period, t[0]])
     off = np.abs(t - np.polyval(clock, index)) / period
@@ -95,7 +93,7 @@ def from_time_stamps(
 
 
 def _held(u: Array) -> Array:
-    """The last known value at each place."""
+    """Return the last known value at each place."""
     last = np.maximum.accumulate(np.where(np.isfinite(u), np.arange(len(u)), -1))
     return np.where(last >= 0, u[last], np.nan)
 
@@ -134,8 +132,7 @@ def _irregular(misplaced: int, rows: int, period: float, name: str) -> list[Find
             100.0 * MAX_IRREGULAR,
             "%",
             f"{100.0 * share:.3g} % of the rows lie more than {TOLERANCE:g} sample times from an even grid "
-            "of "
-            f"{period:.6g} s (limit {100.0 * MAX_IRREGULAR:g} %), and are left out",
+            f"of {period:.6g} s (limit {100.0 * MAX_IRREGULAR:g} %), and are left out",
             "record the instants of sampling, and sample evenly",
         )
     ]

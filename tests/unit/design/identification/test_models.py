@@ -69,6 +69,12 @@ def test_the_hold_is_that_of_the_design(dead_samples: float) -> None:
     )
 
 
+def test_whole_samples_of_dead_time_are_not_blurred_by_rounding() -> None:
+    for samples in range(30):
+        model = hold(ContinuousModel(np.array([43.5]), PAPER_DEN, samples * PERIOD_S), PERIOD_S)
+        assert (model.nk, len(model.b)) == (samples + 1, 3)
+
+
 def test_integrators_are_sampled_too() -> None:
     model = hold(ContinuousModel(np.array([2.0]), np.array([1.0, 3.0, 0.0])), 0.1)
     expected = scipy.signal.cont2discrete(([2.0], [1.0, 3.0, 0.0]), 0.1)
