@@ -1,0 +1,74 @@
+"""Messages between the loop and the socket process.
+
+They go over a pair of connected sockets that keep the boundaries of messages (``SOCK_SEQPACKET``). Neither
+side waits for the other: a message that does not fit is dropped by its sender. The kernel's buffers are the
+bound.
+"""
+
+from __future__ import annotations
+
+import socket
+
+import msgspec
+
+from hil.operation.protocol import LogLine, LoopCall, Status
+
+MAX_MESSAGE_BYTES = 160 * 1024
+"""Largest message. It holds a request of the largest line."""
+SEND_BUFFER_BYTES = 208 * 1024
+"""Size asked for the kernel's buffer, the default limit of an unprivileged process."""
+
+
+class Asked(msgspec.Struct, frozen=True, array_like=True):
+    """A request for the loop."""
+
+    number: int
+    """Number that the reply repeats. It is never used twice, also not by a restarted server."""
+    asked_by: str
+    """User and process of the client, for the recording."""
+    call: LoopCall
+
+
+class Replied(msgspec.Struct, frozen=True, array_like=True, tag="reply"):
+    """The loop's reply to a request."""
+
+    number: int
+    accepted: bool
+    text: str
+
+
+class StatusNow(msgspec.Struct, frozen=True, array_like=True, tag="status"):
+    """The loop's present status."""
+
+    status: Status
+
+
+class Logged(msgspec.Struct, frozen=True, array_like=True, tag="log"):
+    """A log entry of the loop."""
+
+    line: LogLine
+
+
+FromLoop = Replied | StatusNow | Logged
+
+
+class Facts(msgspec.Struct, frozen=True):
+    """Facts about the daemon that the server needs to check requests."""
+
+    hil: str
+    """Version of the program."""
+    bus: str
+    period_s: float
+    units: dict[str, str]
+    """Unit of each axis."""
+    event_check: str | None = None
+    """``module:function`` that raises HilError for an event that cannot happen; None on a real bus."""
+
+
+def pipe() -> tuple[socket.socket, socket.socket]:
+    """Return the loop's end and the server's end. Neither blocks."""
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in ends:
+        end.setblocking(False)
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+    return ends
