@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.plant_options import add_plant_options, check_plant_options, given_plant_options
 from firmware_sim.simulated_plant import plant_texts
-from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
+from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.quantities import duration_text
 from hil.cli.record_path import create_folder_of, recording_path
+from hil.cli.run_parts import SIMULATED
 from hil.core.errors import DocumentError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, FORMS
 from hil.host.command_parser import CommandParser

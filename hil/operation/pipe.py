@@ -19,7 +19,7 @@ SEND_BUFFER_BYTES = 208 * 1024
 """Size asked for the kernel's buffer, the default limit of an unprivileged process."""
 
 
-class Asked(msgspec.Struct, frozen=True, array_like=True):
+class Asked(msgspec.Struct, frozen=True, array_like=True, tag="asked"):
     """A request for the loop."""
 
     number: int

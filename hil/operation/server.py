@@ -61,7 +61,7 @@ _CREDENTIALS = struct.Struct("3i")
 
 
 class Server:
-    """Serves the clients of ``listener``, and passes their requests to the loop at the other end of ``pipe``."""
+    """Serves the clients of ``listener``; passes their requests to the loop at the other end of ``pipe``."""
 
     def __init__(self, listener: socket.socket, pipe: socket.socket, facts: Facts) -> None:
         self._listener = listener
@@ -243,7 +243,7 @@ class Server:
     def _check_event(self, text: str) -> None:
         if self._facts.event_check is None:
             raise DocumentError(
-                f"event {text!r}: events happen to the simulated arm only; this daemon is on {self._facts.bus}"
+                f"event {text!r}: only the simulated arm has events; this daemon is on {self._facts.bus}"
             )
         module, _, function = self._facts.event_check.partition(":")
         from importlib import import_module
