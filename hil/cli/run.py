@@ -98,8 +98,8 @@ def main(argv: list[str]) -> int:
     """Run ``hil run`` with ``argv``; return its exit status. Raises HilError for wrong arguments or files."""
     options = parser().parse_args(argv)
     check_plant_options(options)
-    scenario, scenario_text = _scenario(options)
-    setup = _setup(options, scenario, scenario_text)
+    scenario, scenario_text = given_scenario(options)
+    setup = read_setup(options, scenario, scenario_text)
     bus = chosen_bus(options, setup)
     if bus == SIMULATED:
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
@@ -160,8 +160,8 @@ def chosen_bus(options: argparse.Namespace, setup: RunSetup) -> str:
     return bus
 
 
-def _scenario(options: argparse.Namespace) -> tuple[Scenario | None, str]:
-    """Return the scenario and its text."""
+def given_scenario(options: argparse.Namespace) -> tuple[Scenario | None, str]:
+    """Return the scenario of ``--scenario`` and its text. Raises DocumentError."""
     if options.scenario is None:
         return None, ""
     from firmware_sim.scenario import find_scenario, read_scenario
@@ -171,7 +171,7 @@ def _scenario(options: argparse.Namespace) -> tuple[Scenario | None, str]:
     return read_scenario(text, str(path)), text
 
 
-def _setup(options: argparse.Namespace, scenario: Scenario | None, scenario_text: str) -> RunSetup:
+def read_setup(options: argparse.Namespace, scenario: Scenario | None, scenario_text: str) -> RunSetup:
     """Read the setup of the run. Options win over the scenario, and the scenario over the rig file."""
     controllers = by_axis("--controller", options.controller, "vertical=ppid")
     setpoints = by_axis("--setpoint", options.setpoint, f"vertical={EXAMPLE}")

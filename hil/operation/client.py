@@ -165,8 +165,11 @@ class Client:
         return self._ask(RecordStopCall(id=self._next_id())).text
 
     def shutdown(self) -> str:
-        """End the daemon: it centres the valves and closes the recording."""
-        return self._ask(ShutdownCall(id=self._next_id())).text
+        """End the daemon: it centres the valves and closes the recording. Wait until it has ended."""
+        text = self._ask(ShutdownCall(id=self._next_id())).text
+        while self._lines.read(TIMEOUT_S):
+            pass
+        return text
 
     def close(self) -> None:
         """Disconnect."""

@@ -49,6 +49,8 @@ from hil.operation.protocol import (
 
 REPLY_TIMEOUT_S = 15.0
 """Longest wait for the loop's reply. Closing a recording on a slow disk takes longest."""
+LAST_ANSWERS_S = 0.1
+"""Time in which the last answers are sent after the loop has ended."""
 BURST_REQUESTS = 50
 """Number of requests that a connection may send at once before its rate is limited."""
 MAX_REFUSED_CONNECTIONS = 64
@@ -76,6 +78,8 @@ class Server:
         self._log: deque[tuple[int, LogLine]] = deque(maxlen=LOG_LINES)
         self._log_count = 0
         self._has_loop_ended = asyncio.Event()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._writers: set[asyncio.StreamWriter] = set()
 
     async def run(self) -> None:
         """Serve until the loop closes its end of the pipe."""
@@ -87,6 +91,11 @@ class Server:
         await self._has_loop_ended.wait()
         events.remove_reader(self._pipe)
         server.close()
+        await asyncio.sleep(LAST_ANSWERS_S)
+        for writer in self._writers:
+            writer.transport.abort()
+        if self._tasks:
+            await asyncio.wait(self._tasks)
 
     # The loop's side
 
@@ -137,9 +146,15 @@ class Server:
     # The clients' side
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._tasks.add(task)
+        self._writers.add(writer)
         writer.transport.set_write_buffer_limits(high=WRITE_BUFFER_BYTES)
         with contextlib.suppress(OSError, TimeoutError):
             await self._admit(reader, writer)
+        self._writers.discard(writer)
+        self._tasks.discard(task)
         if writer.transport.get_write_buffer_size() > 0:
             writer.transport.abort()  # the client reads nothing: closing would wait for it
         else:
@@ -209,12 +224,13 @@ class Server:
         """Send an update at every interval until the client disconnects."""
         await _write(writer, Answer(id=call.id, accepted=True, text="watching"))
         seen = self._log_count
-        while not (writer.is_closing() or reader.at_eof()):
+        while not (writer.is_closing() or reader.at_eof() or self._has_loop_ended.is_set()):
             if self._status is not None:
                 lines = tuple(line for number, line in self._log if number > seen)
                 seen = self._log_count
                 await _write(writer, Update(msgspec.structs.replace(self._status, log=lines)))
-            await asyncio.sleep(call.interval_s)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._has_loop_ended.wait(), call.interval_s)
 
     def _check(self, call: LoopCall) -> None:
         """Refuse a request that the loop would refuse after slow work. Raises HilError."""
