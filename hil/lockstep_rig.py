@@ -16,6 +16,7 @@ from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import AxisSignals, Cycle, LogEntry, Output
+from hil.core.requests import Reply, Request
 from hil.shells.lockstep import Lockstep
 from hil.shells.run_setup import load_setup
 
@@ -148,11 +149,17 @@ class LockstepRig:
         """Put a frame of another node on the bus now. The gateway and the boards receive it."""
         self._lockstep.deliver(self._side, frame)
 
+    def operate(self, request: Request) -> Reply:
+        """Give the gateway an operator's request, such as a change of a setpoint, and return its reply."""
+        output = self.gateway.operate(request, self.now_ns)
+        self._side.take(output)
+        assert output.reply is not None
+        return output.reply
+
     def _operate(self, trigger: Trigger) -> None:
-        before, entries = self.state, len(self.log)
-        self._side.take(self.gateway.operate(trigger, self.now_ns))
-        if self.state is before:
-            raise HilError(self.log[entries].text)
+        reply = self.operate(trigger)
+        if not reply.accepted:
+            raise HilError(reply.text)
 
 
 class _Side:

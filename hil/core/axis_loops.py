@@ -11,16 +11,24 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from hil.core.control_law import ControlLaw
+from hil.core.control_law import ControlLaw, Matching
 from hil.core.envelope import Envelope
 from hil.core.excitation import samples
 from hil.core.excited_loop import ExcitedLoop, Fence
 from hil.core.experiment import Experiment
 from hil.core.frames import Frame
+from hil.core.jog import Jog, JogEnd
 from hil.core.output import AxisSignals
 from hil.core.phase import Phase
+from hil.core.references import (
+    GivenSetpoint,
+    HeldPosition,
+    OperatorSetpoints,
+    Reference,
+    present_step,
+)
 from hil.core.rig import Rig
-from hil.core.setpoints import HOLD, Setpoint
+from hil.core.setpoints import HOLD, Function, Setpoint
 from hil.core.valve_commands import ValveCommands
 
 
@@ -34,13 +42,15 @@ class LoopFailure(NamedTuple):
 class AxisLoop:
     """Setpoint, control law, envelope, scaling and last signals of one axis."""
 
-    __slots__ = ("envelope", "law", "name", "position", "setpoint", "signals")
+    __slots__ = ("envelope", "law", "name", "position", "reference", "setpoint", "signals")
 
     def __init__(self, rig: Rig, name: str, law: ControlLaw, setpoint: Setpoint) -> None:
         axis = rig.axes[name]
         self.name = name
         self.law = law
-        self.setpoint = setpoint.at
+        self.reference: Reference = HeldPosition() if setpoint.text == HOLD else GivenSetpoint(setpoint)
+        self.setpoint: Function = setpoint.at
+        """Setpoint r(t) since control began."""
         self.position = axis.potentiometer.position
         self.envelope = Envelope(axis.limits, name, axis.unit)
         self.signals = AxisSignals(math.nan, math.nan, math.nan, 0.0, axis.valve.centre_v, math.nan)
@@ -52,10 +62,11 @@ class AxisLoop:
 
     def first_setpoint(self, y: float) -> float:
         """Return the setpoint with which control begins at position ``y``."""
-        return self.setpoint(0.0)
+        return self.reference.first(y)
 
     def begin(self, t: float, y: float) -> None:
         """Take over without a bump, at position ``y`` and time ``t``, with the valve at its centre."""
+        self.setpoint = self.reference.begin(t, y)
         self.law.initialise(self.setpoint(t), y, 0.0)
 
     def output(self, t: float, y: float) -> tuple[float, float]:
@@ -66,21 +77,6 @@ class AxisLoop:
     def advance(self, u_applied: float) -> None:
         """Take the voltage that the limits let through, relative to the valve's centre."""
         self.law.advance(u_applied)
-
-
-class HoldingLoop(AxisLoop):
-    """An axis whose setpoint is the position at which it was when control began."""
-
-    __slots__ = ()
-
-    def first_setpoint(self, y: float) -> float:
-        """Return the position ``y``."""
-        return y
-
-    def begin(self, t: float, y: float) -> None:
-        """Take over without a bump, and keep the position ``y``."""
-        self.setpoint = lambda _t: y
-        super().begin(t, y)
 
 
 class ExcitedAxis(AxisLoop):
@@ -141,10 +137,14 @@ class AxisLoops:
         self._valves = ValveCommands(
             [axis.valve for axis in rig.axes.values()], rig.loop.period_s, rig.dac.protected
         )
+        self._operators = tuple(OperatorSetpoints(axis, rig.loop.period_s) for axis in rig.axes.values())
+        self._places = {name: place for place, name in enumerate(rig.axes)}
         self._period_s = rig.loop.period_s
         self._start_ns: int | None = None
         """Deadline of the first controlled period, at which the setpoints' time is 0."""
         self._last_command_ns: int | None = None
+        self._t = 0.0
+        """Time of the last controlled sample in seconds since control began."""
 
     @property
     def signals(self) -> tuple[AxisSignals, ...]:
@@ -183,6 +183,7 @@ class AxisLoops:
         if self._start_ns is None:
             self._start_ns = deadline_ns
         t = (deadline_ns - self._start_ns) / 1e9
+        self._t = t
         self._valves.set_change_time(self._elapsed_s(now_ns))
         self._last_command_ns = now_ns
         for index, (axis, measured_v) in enumerate(zip(self._axes, volts, strict=True)):
@@ -201,6 +202,77 @@ class AxisLoops:
             if violation is not None and failure is None:
                 failure = LoopFailure(axis.name, violation)
         return failure
+
+    def is_excited(self, name: str) -> bool:
+        """Return whether an experiment excites this axis."""
+        return isinstance(self._axes[self._places[name]], ExcitedAxis)
+
+    def position_refusal(self, name: str) -> str | None:
+        """Return why the position of an axis does not allow it to move, or None."""
+        axis = self._axes[self._places[name]]
+        y = axis.signals.position
+        return axis.envelope.refusal(y, y)
+
+    @property
+    def have_begun(self) -> bool:
+        """Whether a sample has been controlled since the last restart."""
+        return self._start_ns is not None
+
+    def change_setpoint(self, name: str, setpoint: Setpoint, is_running: bool) -> None:
+        """Replace the setpoint of an axis. It is approached within the limits of the rig file.
+
+        A controlled axis begins at once, from its present setpoint and its speed. Another one begins from its
+        position when control begins.
+        """
+        place = self._places[name]
+        axis = self._axes[place]
+        reference = self._operators[place].reference(setpoint)
+        if is_running and self.have_begun:
+            step = present_step(axis.setpoint, self._t, self._period_s)
+            axis.setpoint = reference.take_over(axis.signals.setpoint, step)
+        axis.reference = reference
+
+    def change_law(self, name: str, law: ControlLaw, is_running: bool) -> Matching | None:
+        """Replace the control law of an axis.
+
+        On a controlled axis, the law's output is matched to the last command that the limits let through.
+        The law has then taken the last sample, and acts from the next one on. Returns what remains of a
+        bump, or None for an axis that is not controlled.
+        """
+        place = self._places[name]
+        axis = self._axes[place]
+        axis.law = law
+        if not is_running or not self.have_begun:
+            return None
+        applied_v = self._valves.offset_v(place)
+        matching = law.match(axis.signals.setpoint, axis.signals.position, applied_v)
+        law.advance(applied_v)
+        return matching
+
+    def jog(
+        self, motion: Jog, volts: Sequence[float], deadline_ns: int, now_ns: int
+    ) -> JogEnd | LoopFailure | None:
+        """Command one axis to the voltage of a jog and centre the other valves.
+
+        The arguments are those of :meth:`control`. Returns None, the reason for which the jog ends, or a
+        failure as :meth:`control` does. Unless it is None, only the centring command may then leave.
+        """
+        is_first = self._start_ns is None
+        if self._start_ns is None:
+            self._start_ns = deadline_ns
+        t = (deadline_ns - self._start_ns) / 1e9
+        self._valves.set_change_time(self._elapsed_s(now_ns))
+        self._last_command_ns = now_ns
+        self.observe(volts)
+        place = self._places[motion.axis]
+        axis, y = self._axes[place], self._axes[place].signals.position
+        if is_first:
+            axis.envelope.begin()
+            motion.begin(y)
+        limited_u = self._valves.command(place, motion.offset_v)
+        axis.signals = axis.signals._replace(output_v=motion.offset_v, command_v=self._valves.volts[place])
+        violation = axis.envelope.check(t, y, 0.0, limited_u)
+        return LoopFailure(axis.name, violation) if violation is not None else motion.check(y)
 
     def observe(self, volts: Sequence[float]) -> None:
         """Read a sample without control: each axis' setpoint follows its position."""
@@ -235,5 +307,4 @@ def _axis_loop(
 ) -> AxisLoop:
     if experiment is not None and experiment.axis == name:
         return ExcitedAxis(rig, name, law, setpoint, experiment)
-    kind = HoldingLoop if setpoint.text == HOLD else AxisLoop
-    return kind(rig, name, law, setpoint)
+    return AxisLoop(rig, name, law, setpoint)

@@ -14,6 +14,7 @@ At run time all numbers are plain floats, because numpy is slower for systems of
 
 from __future__ import annotations
 
+import math
 from operator import mul
 from typing import NamedTuple
 
@@ -24,6 +25,13 @@ from hil.core.controller_file import MAX_COEFFICIENT, Law, PidLaw, StateSpaceLaw
 from hil.core.errors import DocumentError
 
 Matrix = NDArray[np.float64]
+
+INTEGRATOR_TOLERANCE = 1e-6
+"""Distance of a mode from the unit circle below which it counts as an integrator.
+
+With a period of 10 ms, such a mode decays with a time constant of 10,000 s or more. Computed eigenvalues are
+often less exact than 1e-8.
+"""
 
 
 class Realisation(NamedTuple):
@@ -78,6 +86,63 @@ def check_law_runs(law: Law, sample_time_s: float, source: str) -> None:
         )
 
 
+class LawNumbers(NamedTuple):
+    """All numbers of a law at run time. Matrices are lists of rows; n is the number of states."""
+
+    A: list[list[float]]
+    """n rows of n."""
+    B: list[list[float]]
+    """n rows of 2, for r and y."""
+    C: list[float]
+    D: list[float]
+    """2 values, for r and y."""
+    L: list[float]
+    """Anti-windup gain."""
+    slowest: list[float]
+    """The mode nearest to an integrator, scaled to C x = 1; 0 if no mode is seen in the output."""
+    settled: list[list[float]]
+    """n rows of 2: the state for constant r and y in which all modes except the slowest are at rest."""
+    pole: float
+    """Modulus of the slowest mode's eigenvalue: 1 for an integrator, 0 if no mode is seen in the output."""
+    rest_gain: list[float]
+    """Output at rest for constant r and y, 2 values in volts per unit.
+
+    It is empty if the law does not come to rest, because it integrates or is unstable.
+    """
+
+
+def law_numbers(law: Law, sample_time_s: float) -> LawNumbers:
+    """Compute the numbers with which a law runs at ``sample_time_s``."""
+    A, B, C, D = realise(law, sample_time_s)
+    n = A.shape[0]
+    slowest, pole = _slowest_mode(A, C)
+    # State in which all modes except the slowest are at rest, for constant r and y.
+    deflated = np.eye(n) - A + slowest @ C
+    settled = np.linalg.lstsq(deflated, B - slowest @ D, rcond=None)[0]
+    return LawNumbers(
+        A.tolist(),
+        B.tolist(),
+        C[0].tolist(),
+        D[0].tolist(),
+        anti_windup_gain(A, B, C, D)[:, 0].tolist(),
+        slowest[:, 0].tolist(),
+        settled.tolist(),
+        pole,
+        _rest_gain(A, B, C, D),
+    )
+
+
+class Matching(NamedTuple):
+    """How a law took over: its output was matched to a voltage, as far as the law can be matched."""
+
+    jump_v: float
+    """Output in volts minus the voltage to which it was matched: 0 unless no mode is seen in the output."""
+    drift_v: float
+    """Voltage by which the output then moves by itself while r and y are constant; 0 for an integrator."""
+    time_constant_s: float
+    """Time constant of this motion in seconds; 0 if it is a jump."""
+
+
 class ControlLaw:
     """Controller of one axis at run time.
 
@@ -85,19 +150,27 @@ class ControlLaw:
     """
 
     def __init__(self, law: Law, sample_time_s: float) -> None:
-        A, B, C, D = realise(law, sample_time_s)
-        L = anti_windup_gain(A, B, C, D)
-        n = A.shape[0]
-        self._A = [tuple(row) for row in A.tolist()]
-        self._Br = B[:, 0].tolist()
-        self._By = B[:, 1].tolist()
-        self._C: list[float] = C[0].tolist()
-        self._Dr, self._Dy = float(D[0, 0]), float(D[0, 1])
-        self._L: list[float] = L[:, 0].tolist()
-        # State in which all modes except the slowest are at rest, for constant r and y.
-        self._slowest = _slowest_mode(A, C)
-        deflated = np.eye(n) - A + self._slowest @ C
-        self._settled = np.linalg.lstsq(deflated, B - self._slowest @ D, rcond=None)[0]
+        self._use(law_numbers(law, sample_time_s), sample_time_s)
+
+    @classmethod
+    def of_numbers(cls, numbers: LawNumbers, sample_time_s: float) -> ControlLaw:
+        """Return the law of which :func:`law_numbers` computed the numbers, perhaps in another process."""
+        law = cls.__new__(cls)
+        law._use(numbers, sample_time_s)
+        return law
+
+    def _use(self, numbers: LawNumbers, sample_time_s: float) -> None:
+        self._sample_time_s = sample_time_s
+        self._numbers = numbers
+        self._A = [tuple(row) for row in numbers.A]
+        self._Br = [row[0] for row in numbers.B]
+        self._By = [row[1] for row in numbers.B]
+        self._C = numbers.C
+        self._Dr, self._Dy = numbers.D
+        self._L = numbers.L
+        n = len(numbers.A)
+        self._slowest = np.array(numbers.slowest).reshape(n, 1)
+        self._settled = np.array(numbers.settled).reshape(n, 2)
         self._x = [0.0] * n
         self._r = self._y = self._u = 0.0
 
@@ -112,6 +185,20 @@ class ControlLaw:
         self._x = x[:, 0].tolist()
         x = x + self._slowest * (u - self.output(r, y))
         self._x = x[:, 0].tolist()
+
+    def match(self, r: float, y: float, u: float) -> Matching:
+        """Take over from another law that was given r and y and whose output after the limits was ``u``.
+
+        The next ``output(r, y)`` is ``u``, as after :meth:`initialise`. Returns what remains of a bump.
+        """
+        self.initialise(r, y, u)
+        output, pole, rest_gain = self.output(r, y), self._numbers.pole, self._numbers.rest_gain
+        rest_v = rest_gain[0] * r + rest_gain[1] * y if rest_gain else output
+        if not any(self._numbers.slowest):
+            return Matching(output - u, 0.0, 0.0)
+        is_decaying = 0.0 < pole < 1.0 and bool(rest_gain)
+        time_constant_s = -self._sample_time_s / math.log(pole) if is_decaying else 0.0
+        return Matching(0.0, rest_v - output, time_constant_s)
 
     def output(self, r: float, y: float) -> float:
         """Return u in volts for setpoint r and position y in the axis' unit. The state does not change."""
@@ -161,17 +248,27 @@ def anti_windup_gain(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> Matrix:
     return np.asarray((A @ P @ C.T + S) / (R + C @ P @ C.T), dtype=np.float64)
 
 
-def _slowest_mode(A: Matrix, C: Matrix) -> Matrix:
+def _slowest_mode(A: Matrix, C: Matrix) -> tuple[Matrix, float]:
     """Return the mode (n, 1) that is seen in the output and is nearest to an integrator, scaled to C x = 1.
 
-    If no mode is seen in the output, the result is 0.
+    The second value is the modulus of its eigenvalue. If no mode is seen in the output, both are 0.
     """
     eigenvalues, modes = np.linalg.eig(A)
     seen = (C @ modes)[0]
     if not np.any(seen):
-        return np.zeros((A.shape[0], 1))
+        return np.zeros((A.shape[0], 1)), 0.0
     slowest = np.argmax(np.abs(seen) / (np.abs(1.0 - eigenvalues) + 1e-9))
-    return np.asarray((modes[:, [slowest]] / seen[slowest]).real, dtype=np.float64)
+    mode = np.asarray((modes[:, [slowest]] / seen[slowest]).real, dtype=np.float64)
+    return mode, float(np.abs(eigenvalues[slowest]))
+
+
+def _rest_gain(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> list[float]:
+    """Return the law's gain for constant r and y, or an empty list if it does not come to rest."""
+    n = A.shape[0]
+    if np.any(np.abs(np.linalg.eigvals(A)) > 1.0 - INTEGRATOR_TOLERANCE):
+        return []
+    gain: list[float] = (C @ np.linalg.solve(np.eye(n) - A, B) + D)[0].tolist()
+    return gain
 
 
 def _realise_pid(pid: PidLaw, ts: float) -> Realisation:

@@ -19,20 +19,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from hil.core.axis_loops import AxisLoops
+from hil.core.axis_loops import AxisLoops, LoopFailure
 from hil.core.board_supervision import BoardSupervision
 from hil.core.board_watch import NmtState
 from hil.core.control_law import ControlLaw
+from hil.core.controller_change import PreparedController
 from hil.core.excited_loop import ExcitedLoop
 from hil.core.experiment import Experiment
 from hil.core.foreign_frames import ForeignFrames, Intrusion, UnknownFrame
 from hil.core.frames import Frame
+from hil.core.jog import JogEnd
+from hil.core.jogging import Jogging
 from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger
 from hil.core.operating_state import OperatingState
+from hil.core.operator_requests import OperatorRequests
 from hil.core.output import NOTHING, Cycle, LogEntry, LogThrottle, Output, Severity, combine
 from hil.core.period_clock import PeriodClock
 from hil.core.phase import Phase
 from hil.core.rejections import Rejections
+from hil.core.requests import ControllerRequest, JogRequest, Reply, Request, SetpointRequest
 from hil.core.rig import Rig
 from hil.core.sample_guard import Accepted, Rejected, RejectionSeverity, SampleGuard
 from hil.core.setpoints import Setpoint
@@ -71,6 +76,8 @@ class Gateway:
         self._boards = BoardSupervision(
             rig, self._state, self._throttle, self._rejections, on_adc_restart=self._guard.restart
         )
+        self._jogging = Jogging(rig, self._loops, self._state, self._boards.describe)
+        self._requests = OperatorRequests(rig, self._loops)
         self._foreign_frames = ForeignFrames()
         self.error_frames = 0
         """Number of error frames of the bus, without those that caused a fault."""
@@ -130,9 +137,12 @@ class Gateway:
         skipped = self._clock.skipped_periods(now_ns)
         ended = self._end_period(skipped, now_ns)
         timeouts = self._boards.begin_period(now_ns)
+        jog_ended = self._jogging.begin_period(now_ns)
         self._clock.begin_period(now_ns, skipped)
         self._has_sample = False
-        return combine(ended, timeouts, self._sync(now_ns), self._heartbeat(), self._centre_unless_running())
+        return combine(
+            ended, timeouts, jog_ended, self._sync(now_ns), self._heartbeat(), self._centre_unless_running()
+        )
 
     def receive(self, frame: Frame, now_ns: int) -> Output:
         """Take a frame from the bus."""
@@ -153,7 +163,28 @@ class Gateway:
             return self._boards.receive_dac_emergency(data)
         return self._receive_foreign(frame)
 
-    def operate(self, trigger: Trigger, now_ns: int) -> Output:
+    def operate(self, request: Request, now_ns: int, prepared: PreparedController | None = None) -> Output:
+        """Take an operator's request, or refuse it. The output's ``reply`` says what happened, or why not.
+
+        ``prepared`` is the result of ``controller_change.prepare_controller`` for this request, if another
+        process has read the controller already. It saves time and changes nothing else.
+        """
+        match request:
+            case SetpointRequest() | ControllerRequest():
+                return self._requests.change(request, self._is_controlling, prepared)
+            case JogRequest():
+                return self._requests.refuse(request) or self._jogging.take(request, now_ns)
+        before = self._state.current
+        output = self._take_trigger(request)
+        text = "; ".join(entry.text for entry in output.log)
+        return output._replace(reply=Reply(self._state.current is not before, text))
+
+    @property
+    def _is_controlling(self) -> bool:
+        """Whether the controllers act on the valves."""
+        return self._state.current is LifeCycleState.RUNNING and not self._jogging.is_active
+
+    def _take_trigger(self, trigger: Trigger) -> Output:
         """Take an operator's trigger (arm, start, stop, disarm, reset), or refuse it in the present state."""
         if trigger not in OPERATOR_TRIGGERS or not self._state.allows(trigger):
             return self._state.refuse(trigger, self._boards.describe())
@@ -189,6 +220,7 @@ class Gateway:
                 )
             )
         self._loops.restart()
+        self._jogging.cancel()
         self._reported_phase = Phase.NONE
         return combine(self._state.enter(Trigger.START), Output(log=self._disabled_checks))
 
@@ -287,10 +319,25 @@ class Gateway:
         return combine(changed, Output(cycle=self._cycle(now_ns, True)))
 
     def _control(self, volts: Sequence[float], now_ns: int) -> Output:
+        if self._jogging.is_active:
+            return self._jog(volts, now_ns)
         failed = self._loops.control(volts, self._clock.deadline_ns, now_ns)
         if failed is None:
             commands = Output((self._loops.command(),), cycle=self._cycle(now_ns, True))
             return commands if self.experiment is None else combine(commands, self._report_phase())
+        return self._fail(failed, now_ns)
+
+    def _jog(self, volts: Sequence[float], now_ns: int) -> Output:
+        """Give the jogged axis its voltage, or centre the valves because the jog must end."""
+        match self._jogging.move(volts, self._clock.deadline_ns, now_ns):
+            case LoopFailure() as failed:
+                return self._fail(failed, now_ns)
+            case JogEnd(reason):
+                ended = self._jogging.end(reason)
+                return combine(ended, self._centre(), Output(cycle=self._cycle(now_ns, True)))
+        return Output((self._loops.command(),), cycle=self._cycle(now_ns, True))
+
+    def _fail(self, failed: LoopFailure, now_ns: int) -> Output:
         fault = self._state.fault(failed.axis, failed.reason)
         return combine(fault, Output(cycle=self._cycle(now_ns, True)))
 

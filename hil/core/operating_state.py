@@ -27,11 +27,14 @@ class OperatingState:
         """Return whether the life cycle has a transition from the present state by ``trigger``."""
         return next_state(self.current, trigger) is not None
 
-    def enter(self, trigger: Trigger) -> Output:
-        """Change the state by a trigger that it allows, and report the change."""
+    def enter(self, trigger: Trigger, cause: str = "") -> Output:
+        """Change the state by a trigger that it allows, and report the change.
+
+        ``cause`` is named in place of the trigger.
+        """
         after = next_state(self.current, trigger)
         assert after is not None, f"{trigger} in {self.current}"
-        text = f"{self.current.name.lower()} -> {after.name.lower()} ({trigger.value})"
+        text = f"{self.current.name.lower()} -> {after.name.lower()} ({cause or trigger.value})"
         self.current = after
         if trigger is Trigger.RESET:
             self.fault_reason = None

@@ -1,4 +1,4 @@
-"""What a call to the gateway core returns: frames to send, log entries, and the signals of a period."""
+"""What a call to the gateway core returns: frames, log entries, the signals of a period, and a reply."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from hil.core.frames import Frame
+from hil.core.requests import Reply
 
 
 class Severity(IntEnum):
@@ -78,6 +79,8 @@ class Output(NamedTuple):
     """Log entries to record and show, in this order."""
     cycle: Cycle | None = None
     """The period that this call completed, if it completed one."""
+    reply: Reply | None = None
+    """Answer to an operator's request; None for every call but ``Gateway.operate``."""
 
 
 NOTHING = Output()
@@ -85,16 +88,25 @@ NOTHING = Output()
 
 
 def combine(*outputs: Output) -> Output:
-    """Join outputs in order: frames after frames, log entries after log entries, and the last cycle."""
+    """Join outputs in order: frames after frames, log entries after log entries, last cycle, last reply."""
     joined = NOTHING
     for output in outputs:
         if joined is NOTHING:
             joined = output
         elif output is not NOTHING:
             joined = Output(
-                joined.frames + output.frames, joined.log + output.log, output.cycle or joined.cycle
+                joined.frames + output.frames,
+                joined.log + output.log,
+                output.cycle or joined.cycle,
+                output.reply or joined.reply,
             )
     return joined
+
+
+def answer(axis: str, reply: Reply) -> Output:
+    """Return the reply to a request about an axis, which is also a log entry."""
+    severity = Severity.INFO if reply.accepted else Severity.WARNING
+    return Output(log=(LogEntry(severity, axis, reply.text),), reply=reply)
 
 
 class LogThrottle:

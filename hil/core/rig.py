@@ -14,6 +14,12 @@ import msgspec
 from hil.core.documents import Document, from_plain, parse_toml
 from hil.core.envelope_settings import AxisRange, EnvelopeSettings, Limits, check_settings, limits_of
 from hil.core.errors import DocumentError
+from hil.core.operator_settings import (
+    OperatorLimits,
+    OperatorSettings,
+    check_operator_settings,
+    operator_limits,
+)
 
 VOLTS_PER_COUNT = 10.0 / 32768
 """Resolution of an analogue channel of the DBC: CiA 401, left-adjusted INTEGER16."""
@@ -138,6 +144,8 @@ class AxisSettings(Document, frozen=True):
     """Travel fence: the same above this position. The default is a tenth of the range under ``max_y``."""
     envelope: EnvelopeSettings = EnvelopeSettings()
     """What the axis may do in state running."""
+    operator: OperatorSettings = OperatorSettings()
+    """What an operator may ask of the axis while the gateway runs."""
 
     @property
     def range(self) -> AxisRange:
@@ -151,6 +159,11 @@ class AxisSettings(Document, frozen=True):
     def limits(self) -> Limits:
         """Limits of the envelope, with the defaults of what the rig file does not give."""
         return limits_of(self.envelope, self.range)
+
+    @property
+    def operator_limits(self) -> OperatorLimits:
+        """Limits of an operator's requests, with the defaults of what the rig file does not give."""
+        return operator_limits(self.operator, self.limits, self.range)
 
     @property
     def fence_limits(self) -> tuple[float, float]:
@@ -205,6 +218,7 @@ def read_rig(text: str, source: str) -> Rig:
         where = f"{source}: axes.{name}"
         _check_axis(axis, where)
         check_settings(axis.envelope, axis.range, rig.loop.period_s, axis.unit, f"{where}.envelope")
+        check_operator_settings(axis.operator, axis.limits, axis.range, axis.unit, f"{where}.operator")
     for part in ("potentiometer", "valve"):
         _check_channels(rig, part, source)
     return rig

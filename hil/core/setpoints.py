@@ -108,12 +108,16 @@ def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
     return Setpoint(text, at, min_r, max_r, abs(values[0]) * _PEAK_SPEEDS.get(kind, 0.0) / span)
 
 
-def check_speed(setpoint: Setpoint, axis: str, max_speed: float, unit: str) -> None:
-    """Refuse a setpoint that is faster than the axis may move. Raises SetpointError."""
+def check_speed(setpoint: Setpoint, axis: str, max_speed: float, unit: str, key: str = "") -> None:
+    """Refuse a setpoint that is faster than the axis may move. Raises SetpointError.
+
+    ``key`` is the key of the limit in the rig file, by default that of the axis' envelope.
+    """
     if setpoint.max_speed > max_speed:
         raise SetpointError(
             f"{axis}: setpoint {setpoint.text!r} moves at up to {setpoint.max_speed:.4g} {unit}/s, limit "
-            f"{max_speed:g} {unit}/s (rig: axes.{axis}.envelope.max_speed); give it more time, or use steps"
+            f"{max_speed:g} {unit}/s (rig: {key or f'axes.{axis}.envelope.max_speed'}); give it more time, "
+            "or use steps"
         )
 
 

@@ -45,6 +45,10 @@ class ValveCommands:
         self._kept: deque[tuple[Frame, list[float]]] = deque(maxlen=KEPT_COMMANDS)
         """The last commands that were not refused, with their voltages."""
 
+    def offset_v(self, index: int) -> float:
+        """Return the present command of valve ``index`` relative to its centre voltage, in volts."""
+        return self.volts[index] - self._centres_v[index]
+
     def centre(self) -> None:
         """Set every command to its valve's centre voltage, at once."""
         self.volts = list(self._centres_v)

@@ -11,9 +11,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hil.core.frames import Frame
-from hil.core.life_cycle import Trigger
 from hil.core.output import AxisSignals, LogEntry, Severity
+from hil.core.requests import Request
 from hil.recording import schemas
+from hil.recording.request_texts import read_request
 from hil.recording.schemas import AXIS_TOPIC, CDR_HEADER, layout_of
 
 _SECOND_NS = 1_000_000_000
@@ -35,10 +36,12 @@ class DeadlineCalled(NamedTuple):
 
 
 class Operated(NamedTuple):
-    """Call: the core was given an operator's trigger."""
+    """Call: the core was given an operator's request."""
 
     now_ns: int
-    trigger: Trigger
+    request: Request
+    asked_by: str = ""
+    """Who asked, as the shell knew it; empty for a trigger of the run's own plan."""
 
 
 class LinkFailed(NamedTuple):
@@ -140,7 +143,7 @@ def decoder_of(topic: str, definition: str, bus: str, epoch_offset_ns: int) -> D
             cycle = _unpacker(definition)
             return lambda m: CycleRecorded(m.now_ns, *cycle(m.payload)[1:])
         case schemas.OPERATOR_TOPIC:
-            return lambda m: Operated(m.now_ns, _trigger(_text(m.payload)))
+            return lambda m: Operated(m.now_ns, *read_request(_text(m.payload)))
         case schemas.LINK_FAILURE_TOPIC:
             return lambda m: LinkFailed(m.now_ns, _text(m.payload))
         case schemas.LOG_TOPIC:
@@ -180,13 +183,6 @@ def _unpacker(definition: str, frame_id: str = "") -> Callable[[bytes], tuple[An
 def _frame(values: tuple[Any, ...]) -> Frame:
     *_, identifier, is_remote, is_extended, is_error, length, data = values
     return Frame(identifier, data[:length], is_extended, is_remote, is_error)
-
-
-def _trigger(text: str) -> Trigger:
-    try:
-        return Trigger(text)
-    except ValueError:
-        raise ValueError(f"{text!r} is not a command of the operator") from None
 
 
 def _text(payload: bytes) -> str:

@@ -16,8 +16,8 @@ import msgspec
 
 from hil.core.errors import RecordingError
 from hil.core.frames import Frame
-from hil.core.life_cycle import Trigger
 from hil.core.output import Cycle, LogEntry
+from hil.core.requests import Request
 from hil.recording import schemas
 from hil.recording.handover import (
     BATCH,
@@ -30,6 +30,7 @@ from hil.recording.handover import (
     message_prefix,
 )
 from hil.recording.pipe import RecorderPipe
+from hil.recording.request_texts import request_text
 from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, layout_of
 
 __all__ = ["ARM_EVENTS", "Recorder", "RecorderReport", "RunHeader"]
@@ -139,9 +140,10 @@ class Recorder:
             CDR_HEADER, deadline_ns, now_ns,
         )  # fmt: skip
 
-    def operated(self, trigger: Trigger, now_ns: int) -> None:
-        """Record that the core is about to be given the operator's ``trigger``."""
-        self._add_text(schemas.OPERATOR, now_ns, CDR_HEADER + cdr_string(trigger.value))
+    def operated(self, request: Request, now_ns: int, asked_by: str = "") -> None:
+        """Record that the core is about to be given an operator's ``request``, and who asked."""
+        text = request_text(request, asked_by)
+        self._add_text(schemas.OPERATOR, now_ns, CDR_HEADER + cdr_string(text))
 
     def link_failed(self, reason: str, now_ns: int) -> None:
         """Record that the core is about to be given a failure of the link, or of the program."""

@@ -171,6 +171,6 @@ def _output(gateway: Gateway, call: Call) -> Output:
         case DeadlineCalled():
             return gateway.on_deadline(call.now_ns)
         case Operated():
-            return gateway.operate(call.trigger, call.now_ns)
+            return gateway.operate(call.request, call.now_ns)
         case LinkFailed():
             return gateway.link_failed(call.reason)

@@ -1,7 +1,8 @@
-"""The plan of a run without an operator: arm, start, stop after a time, and end with centred valves."""
+"""The plans of a run: which triggers a shell gives by itself, and how the run ends with centred valves."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from enum import StrEnum
 
 from hil.core.gateway import Gateway
@@ -37,16 +38,10 @@ class StopRequest:
         self.is_set = True
 
 
-class RunPlan:
-    """The triggers of a run and the time at which each is given, and the end of the run."""
+class Plan(ABC):
+    """The triggers that a shell gives by itself, and the end of the run."""
 
-    def __init__(self, duration_s: float, period_s: float, bring_up_s: float = 5.0) -> None:
-        """The boards may take ``bring_up_s`` to come up. From the start on, the run lasts ``duration_s``."""
-        self.duration_s = duration_s
-        self._run_periods = max(round(duration_s / period_s), 1)
-        self._bring_up_periods = max(round(bring_up_s / period_s), 1)
-        self._periods = 0
-        self._started_at_period: int | None = None
+    def __init__(self) -> None:
         self._remaining_periods: int | None = None
         """Number of periods left after the run has begun to end; None before."""
         self.ending: Ending | None = None
@@ -71,14 +66,48 @@ class RunPlan:
 
     def after_period(self, gateway: Gateway) -> Trigger | None:
         """Count a period that has begun, and return the trigger to give to ``gateway`` now, if any."""
-        self._periods += 1
         if self._remaining_periods:
             self._remaining_periods -= 1
+        return self._next_trigger(gateway)
+
+    @abstractmethod
+    def _next_trigger(self, gateway: Gateway) -> Trigger | None:
+        """Return the trigger to give to ``gateway`` in the period that has begun, if any."""
+
+    def _stop(self, gateway: Gateway) -> Trigger | None:
+        """Return the trigger that ends the motion of a run that ends."""
+        return Trigger.STOP if gateway.state is LifeCycleState.RUNNING else None
+
+
+class OperatorPlan(Plan):
+    """The plan of a daemon: an operator gives every trigger, and only a request to stop ends the run.
+
+    A fault does not end the run. It stays latched until the operator resets it.
+    """
+
+    def _next_trigger(self, gateway: Gateway) -> Trigger | None:
+        return None if self.ending is None else self._stop(gateway)
+
+
+class RunPlan(Plan):
+    """The plan of a run without an operator: arm, start, and stop after a time."""
+
+    def __init__(self, duration_s: float, period_s: float, bring_up_s: float = 5.0) -> None:
+        """The boards may take ``bring_up_s`` to come up. From the start on, the run lasts ``duration_s``."""
+        super().__init__()
+        self.duration_s = duration_s
+        self._run_periods = max(round(duration_s / period_s), 1)
+        self._bring_up_periods = max(round(bring_up_s / period_s), 1)
+        self._periods = 0
+        self._started_at_period: int | None = None
+
+    def _next_trigger(self, gateway: Gateway) -> Trigger | None:
+        self._periods += 1
         if gateway.state is LifeCycleState.FAULT:
             self.end(Ending.FAULT)
             return None
         if self.ending is not None:
-            return Trigger.STOP if gateway.state is LifeCycleState.RUNNING else None
+            return self._stop(gateway)
         if self._started_at_period is None:
             return self._bring_up(gateway)
         if gateway.state is not LifeCycleState.RUNNING:

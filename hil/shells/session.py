@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+from hil.core.controller_change import PreparedController
 from hil.core.errors import LinkError
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
-from hil.core.life_cycle import Trigger
 from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
+from hil.core.requests import Reply, Request
 from hil.core.wire.codec import RPDO1_DAC
 from hil.recording.recorder import Recorder
-from hil.shells.run_plan import Ending, RunPlan
+from hil.recording.request_texts import describe_request
+from hil.shells.run_plan import Ending, Plan
 
 
 class Observer(Protocol):
@@ -38,7 +40,7 @@ class Session:
     def __init__(
         self,
         gateway: Gateway,
-        plan: RunPlan,
+        plan: Plan,
         send: Callable[[Frame], bool],
         clock_ns: Callable[[], int],
         recorder: Recorder,
@@ -72,11 +74,23 @@ class Session:
         self._recorder.frame_received(frame, now_ns, stamp_ns)
         self._handle(self.gateway.receive(frame, now_ns), now_ns)
 
-    def operate(self, trigger: Trigger) -> None:
-        """Give the core an operator's trigger."""
+    def operate(
+        self, request: Request, asked_by: str = "", prepared: PreparedController | None = None
+    ) -> Reply:
+        """Give the core an operator's request, and return its reply.
+
+        ``asked_by`` says who asked, such as ``uid 1000, pid 4711``; it is recorded with the request. A
+        controller that was prepared in another process saves the core the time to read and check it.
+        """
+        if asked_by:
+            text = f"{asked_by} asks: {describe_request(request)}"
+            self.note(LogEntry(Severity.INFO, "operator", text))
         now_ns = self._clock_ns()
-        self._recorder.operated(trigger, now_ns)
-        self._handle(self.gateway.operate(trigger, now_ns), now_ns)
+        self._recorder.operated(request, now_ns, asked_by)
+        output = self.gateway.operate(request, now_ns, prepared)
+        self._handle(output, now_ns)
+        assert output.reply is not None, f"no reply to {request}"
+        return output.reply
 
     def end_with_failure(self, ending: Ending, reason: str) -> None:
         """End the run because the link or this program failed. The core faults and centres the valves.

@@ -19,6 +19,8 @@ from support.gateway_bench import (
 
 from hil.core.controller_file import PidLaw, TransferFunctionLaw
 from hil.core.life_cycle import LifeCycleState
+from hil.core.references import GivenSetpoint
+from hil.core.setpoints import Setpoint
 
 
 class TestNotFinite:
@@ -54,7 +56,7 @@ class TestNotFinite:
     @pytest.mark.parametrize("axis", [0, 1, 2])
     def test_a_setpoint_that_is_not_finite_is_a_fault_on_any_axis(self, value: float, axis: int) -> None:
         gateway = make_stepped(LifeCycleState.RUNNING)
-        gateway.core._loops._axes[axis].setpoint = lambda t: value
+        gateway.core._loops._axes[axis].reference = GivenSetpoint(Setpoint("", lambda t: value, 0.0, 0.0))
         gateway.deadline()
         output = gateway.sample()
         assert commands(output) == [CENTRED]
@@ -72,7 +74,7 @@ def test_no_number_that_is_not_finite_reaches_the_valve_commands(monkeypatch: py
         return command(index, offset_v)
 
     monkeypatch.setattr(gateway.core._loops._valves, "command", spied)
-    gateway.core._loops._axes[1].setpoint = lambda t: math.nan
+    gateway.core._loops._axes[1].reference = GivenSetpoint(Setpoint("", lambda t: math.nan, 0.0, 0.0))
     gateway.deadline()
     gateway.sample()
     assert len(asked) == 1

@@ -1,0 +1,126 @@
+"""Checks of an operator's requests that change a setpoint or a controller, and the changes themselves."""
+
+from __future__ import annotations
+
+import re
+
+from hil.core.axis_loops import AxisLoops
+from hil.core.control_law import ControlLaw, Matching
+from hil.core.controller_change import PreparedController, digest_of, prepare_controller
+from hil.core.errors import SetpointError
+from hil.core.output import Output, answer
+from hil.core.requests import ControllerRequest, JogRequest, Reply, SetpointRequest
+from hil.core.rig import Rig
+from hil.core.setpoints import Setpoint, check_speed, check_within, csv_file, parse_setpoint
+from hil.core.suggestions import did_you_mean
+
+SMALL_BUMP_V = 1e-6
+"""Change of a valve voltage in V that is not reported: far below the 0.3 mV that a frame can carry."""
+MAX_NAME = 200
+"""Longest name of an axis or of a controller file in a request, in characters."""
+MAX_SETPOINT = 1000
+"""Longest text of a setpoint in a request, in characters."""
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+
+
+class OperatorRequests:
+    """Requests about one axis, checked against the rig file and given to the axis' loop."""
+
+    def __init__(self, rig: Rig, loops: AxisLoops) -> None:
+        self._rig = rig
+        self._loops = loops
+
+    def refuse(self, request: SetpointRequest | ControllerRequest | JogRequest) -> Output | None:
+        """Return the refusal of a request for an axis that cannot be operated, or None."""
+        axes = self._rig.axes
+        name = request.axis
+        if name in axes:
+            if not self._loops.is_excited(name):
+                return None
+            return answer(name, Reply(False, "refused: an experiment has this axis until the end of the run"))
+        if len(name) > MAX_NAME:
+            return answer("operator", Reply(False, f"refused: the axis has a name of {len(name)} characters"))
+        text = f"refused: no axis {name!r}; the rig has {', '.join(axes)}{did_you_mean(name, axes)}"
+        return answer("operator", Reply(False, text))
+
+    def change(
+        self,
+        request: SetpointRequest | ControllerRequest,
+        is_running: bool,
+        prepared: PreparedController | None,
+    ) -> Output:
+        """Change a setpoint or a controller, or refuse.
+
+        ``is_running`` says whether the axis is under its controller. ``prepared`` is used if it belongs to
+        this request.
+        """
+        refusal = self.refuse(request)
+        if refusal is not None:
+            return refusal
+        if isinstance(request, SetpointRequest):
+            return answer(request.axis, self._change_setpoint(request, is_running))
+        return answer(request.axis, self._change_controller(request, is_running, prepared))
+
+    def _change_setpoint(self, request: SetpointRequest, is_running: bool) -> Reply:
+        try:
+            setpoint = self._read_setpoint(request)
+        except SetpointError as error:
+            return Reply(False, f"setpoint refused: {error}")
+        self._loops.change_setpoint(request.axis, setpoint, is_running)
+        axis = self._rig.axes[request.axis]
+        limits, unit = axis.operator_limits, axis.unit
+        when = "now" if is_running else "when control starts"
+        return Reply(
+            True,
+            f"setpoint {request.setpoint}, approached {when} with at most {limits.max_speed:g} {unit}/s and "
+            f"{limits.max_acceleration:g} {unit}/s^2",
+        )
+
+    def _change_controller(
+        self, request: ControllerRequest, is_running: bool, prepared: PreparedController | None
+    ) -> Reply:
+        if len(request.name) > MAX_NAME or not request.name.isprintable():
+            return Reply(
+                False, f"controller refused: its name must have at most {MAX_NAME} printable characters"
+            )
+        if prepared is None or prepared.digest != digest_of(request, self._rig):
+            prepared = prepare_controller(request, self._rig)
+        if prepared.numbers is None:
+            return Reply(False, f"controller refused: {prepared.refusal}")
+        law = ControlLaw.of_numbers(prepared.numbers, self._rig.loop.period_s)
+        matching = self._loops.change_law(request.axis, law, is_running)
+        loop = "" if prepared.is_loop_checked else "; the file names no plant, so the loop was not checked"
+        return Reply(True, f"controller {request.name} {self._describe(request.axis, matching)}{loop}")
+
+    def _read_setpoint(self, request: SetpointRequest) -> Setpoint:
+        """Read a setpoint and check it against the limits of its axis. Raises SetpointError."""
+        name, text = request
+        axis = self._rig.axes[name]
+        if len(text) > MAX_SETPOINT:
+            raise SetpointError(f"{name}: the text has {len(text)} characters, limit {MAX_SETPOINT}")
+        if csv_file(text) is not None:
+            raise SetpointError(f"{name}: {text!r}: a file cannot be the setpoint of a gateway that runs")
+        setpoint = parse_setpoint(f"step:{text}@0" if _NUMBER.fullmatch(text) else text)
+        check_within(setpoint, name, axis.min_y, axis.max_y, axis.unit)
+        key = f"axes.{name}.operator.setpoint_max_speed"
+        check_speed(setpoint, name, axis.operator_limits.max_speed, axis.unit, key)
+        return setpoint
+
+    def _describe(self, name: str, matching: Matching | None) -> str:
+        """Return how a controller took over, with the size of a bump."""
+        if matching is None:
+            return "acts from the next start on"
+        rate = (
+            f"at most {self._rig.axes[name].valve.max_rate_v_s:g} V/s (rig: axes.{name}.valve.max_rate_v_s)"
+        )
+        if abs(matching.jump_v) > SMALL_BUMP_V:
+            return (
+                f"takes over with a bump of {matching.jump_v:+.4g} V, because it has no state that could be "
+                f"matched; {rate}"
+            )
+        if abs(matching.drift_v) > SMALL_BUMP_V:
+            return (
+                f"takes over at the last command; it has no integrator, so its output then moves by "
+                f"{matching.drift_v:+.4g} V with a time constant of {matching.time_constant_s:.3g} s, {rate}"
+            )
+        return "takes over at the last command, without a bump"
