@@ -33,7 +33,7 @@ COMMANDS = {
     "disarm": ("hil.cli.operate:DISARM", "forbid motion: armed -> ready"),
     "start": ("hil.cli.operate:START", "begin to control: armed -> running"),
     "stop": ("hil.cli.operate:STOP", "stop the controllers, centre the valves: running -> armed"),
-    "reset": ("hil.cli.operate:RESET", "leave state fault"),
+    "reset": ("hil.cli.operate:RESET", "leave state fault, after its cause is removed"),
     "setpoint": ("hil.cli.operate:SETPOINT", "change the setpoints of axes"),
     "controller": ("hil.cli.operate:CONTROLLER", "change the controllers of axes"),
     "jog": ("hil.cli.operate:JOG", "move one axis by hand for a short time"),

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from firmware_sim.plant_options import add_plant_options, check_plant_options
 from firmware_sim.simulated_plant import plant_texts
+from hil.cli.axis_values import by_axis
 from hil.cli.operate import add_socket_option
-from hil.cli.run import by_axis, chosen_bus, given_scenario, read_setup
+from hil.cli.run import chosen_bus, given_scenario, read_setup
 from hil.cli.run_parts import SIMULATED
 from hil.core.setpoints import HOLD
 from hil.host.command_parser import CommandParser

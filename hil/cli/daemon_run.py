@@ -34,7 +34,7 @@ from hil.shells.observers import Observers
 from hil.shells.operator_port import Described, OperatorPort
 from hil.shells.realtime import run
 from hil.shells.run_plan import Ending, OperatorPlan
-from hil.shells.run_setup import RunSetup
+from hil.shells.run_setup import RIG_NAME, RunSetup
 from hil.shells.session import Session
 from hil.shells.watchdog import WatchdogObserver
 from hil.views.log_lines import LogLines
@@ -69,7 +69,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         log = LogLines()
         stack.callback(log.close)
         units = {name: axis.unit for name, axis in setup.rig.axes.items()}
-        facts = Facts(__version__, bus, setup.rig.loop.period_s, units)
+        facts = Facts(__version__, bus, setup.texts[RIG_NAME])
         pipe = stack.enter_context(socket_process(listener, facts))
         plan = OperatorPlan()
 

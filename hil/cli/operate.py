@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from hil.cli.run import by_axis
+from hil.cli.axis_values import by_axis
 from hil.core.errors import DocumentError, OperationError
 from hil.core.setpoints import FORMS
 from hil.host.command_parser import CommandParser, number

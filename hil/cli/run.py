@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.plant_options import add_plant_options, check_plant_options, given_plant_options
 from firmware_sim.simulated_plant import plant_texts
+from hil.cli.axis_values import by_axis
 from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.quantities import duration_text
 from hil.cli.record_path import create_folder_of, recording_path
@@ -206,21 +207,6 @@ def _linear_controllers(options: argparse.Namespace) -> dict[str, str]:
     if not options.linear or options.rig is not None:
         return {}
     return {name: LINEAR_CONTROLLERS[axis.unit] for name, axis in load_rig(None).axes.items()}
-
-
-def by_axis(option: str, given: list[str], example: str) -> dict[str, str]:
-    """Split ``AXIS=VALUE`` texts. Raises DocumentError."""
-    pairs: dict[str, str] = {}
-    for text in given:
-        name, equals, value = text.partition("=")
-        if not equals or not name or not value:
-            raise DocumentError(
-                f"{option} {text!r}: the axis or the value is missing; write {option} {example}"
-            )
-        if name in pairs:
-            raise DocumentError(f"{option} {name} is given twice, as {pairs[name]!r} and as {value!r}")
-        pairs[name] = value
-    return pairs
 
 
 def duration_argument(text: str) -> float:

@@ -141,7 +141,7 @@ class Client:
         """
         path = Path(file)
         document = read_text(path, MAX_DOCUMENT_BYTES)
-        call = ControllerCall(id=self._next_id(), axis=axis, name=str(path)[-256:], document=document)
+        call = ControllerCall(id=self._next_id(), axis=axis, name=path.name, document=document)
         return self._ask(call).text
 
     def jog(self, axis: str, offset_v: float, duration_s: float) -> str:

@@ -11,6 +11,7 @@ import socket
 
 import msgspec
 
+from hil.core.controller_change import PreparedController
 from hil.operation.protocol import LogLine, LoopCall, Status
 
 MAX_MESSAGE_BYTES = 160 * 1024
@@ -27,6 +28,8 @@ class Asked(msgspec.Struct, frozen=True, array_like=True, tag="asked"):
     asked_by: str
     """User and process of the client, for the recording."""
     call: LoopCall
+    prepared: PreparedController | None = None
+    """The controller of the request, read and checked."""
 
 
 class Replied(msgspec.Struct, frozen=True, array_like=True, tag="reply"):
@@ -58,9 +61,8 @@ class Facts(msgspec.Struct, frozen=True):
     hil: str
     """Version of the program."""
     bus: str
-    period_s: float
-    units: dict[str, str]
-    """Unit of each axis."""
+    rig: str
+    """Text of the rig file."""
     event_check: str | None = None
     """``module:function`` that raises HilError for an event that cannot happen; None on a real bus."""
 

@@ -1,6 +1,6 @@
 """The server of the daemon's clients. It runs in the socket process.
 
-Every request that the loop must take is checked here first: the loop is given no text that is slow to read.
+What takes long to check, such as a controller, is checked here before the loop gets it.
 A connection has one request under way at a time, so that at most ``MAX_CONNECTIONS`` requests wait for the
 loop. Whoever sends faster is read more slowly.
 """
@@ -19,10 +19,11 @@ from pathlib import Path
 
 import msgspec
 
-from hil.core.control_law import check_law_runs
-from hil.core.controller_file import check_controller_fits, read_controller
-from hil.core.errors import DocumentError, HilError, SetpointError
-from hil.core.setpoints import csv_file, parse_setpoint
+from hil.core.controller_change import PreparedController, prepare_controller
+from hil.core.errors import DocumentError, HilError
+from hil.core.output import LogThrottle, Severity
+from hil.core.requests import ControllerRequest
+from hil.core.rig import read_rig
 from hil.core.suggestions import did_you_mean
 from hil.operation.pipe import MAX_MESSAGE_BYTES, Asked, Facts, FromLoop, Logged, Replied, StatusNow
 from hil.operation.protocol import (
@@ -38,7 +39,6 @@ from hil.operation.protocol import (
     Greeting,
     LogLine,
     LoopCall,
-    SetpointCall,
     Status,
     StatusCall,
     Update,
@@ -77,6 +77,8 @@ class Server:
         self._status: Status | None = None
         self._log: deque[tuple[int, LogLine]] = deque(maxlen=LOG_LINES)
         self._log_count = 0
+        self._rig = read_rig(facts.rig, "rig.toml")
+        self._throttle = LogThrottle()
         self._has_loop_ended = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._writers: set[asyncio.StreamWriter] = set()
@@ -91,6 +93,9 @@ class Server:
         await self._has_loop_ended.wait()
         events.remove_reader(self._pipe)
         server.close()
+        for number, future in self._waiting.items():
+            if not future.done():
+                future.set_result(Replied(number, False, "the daemon ended before it replied"))
         await asyncio.sleep(LAST_ANSWERS_S)
         for writer in self._writers:
             writer.transport.abort()
@@ -120,11 +125,11 @@ class Server:
                 if future is not None and not future.done():
                     future.set_result(reply)
 
-    async def _ask_loop(self, call: LoopCall, asked_by: str) -> Answer:
+    async def _ask_loop(self, call: LoopCall, asked_by: str, prepared: PreparedController | None) -> Answer:
         self._number += 1
         number = self._number
         try:
-            self._pipe.send(msgspec.msgpack.encode(Asked(number, asked_by, call)))
+            self._pipe.send(msgspec.msgpack.encode(Asked(number, asked_by, call, prepared)))
         except OSError:  # it is full, or the message is too large for it
             return Answer(
                 id=call.id, accepted=False, text="the loop takes no requests at the moment; try again"
@@ -213,10 +218,11 @@ class Server:
                 return Answer(id=call.id, accepted=False, text="the daemon has not begun its first period")
             return Answer(id=call.id, accepted=True, text=self._status.state, status=self._status)
         try:
-            self._check(call)
+            prepared = self._check(call)
         except HilError as error:
+            self._log_refusal(asked_by, str(error))
             return Answer(id=call.id, accepted=False, text=str(error))
-        return await self._ask_loop(call, asked_by)
+        return await self._ask_loop(call, asked_by, prepared)
 
     async def _watch(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, call: WatchCall
@@ -232,29 +238,29 @@ class Server:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._has_loop_ended.wait(), call.interval_s)
 
-    def _check(self, call: LoopCall) -> None:
-        """Refuse a request that the loop would refuse after slow work. Raises HilError."""
-        axis = getattr(call, "axis", None)
-        if axis is not None and axis not in self._facts.units:
+    def _check(self, call: LoopCall) -> PreparedController | None:
+        """Check what takes long to check, and return a controller that was prepared. Raises HilError."""
+        if isinstance(call, EventCall):
+            self._check_event(call.text)
+        if not isinstance(call, ControllerCall):
+            return None
+        if call.axis not in self._rig.axes:
             raise DocumentError(
-                f"there is no axis {axis!r}: the axes of the rig are {', '.join(self._facts.units)}"
-                f"{did_you_mean(axis, self._facts.units)}"
+                f"there is no axis {call.axis!r}: the axes of the rig are {', '.join(self._rig.axes)}"
+                f"{did_you_mean(call.axis, self._rig.axes)}"
             )
-        match call:
-            case SetpointCall(setpoint=text):
-                if csv_file(text) is not None:
-                    raise SetpointError(
-                        f"setpoint {text!r}: a running daemon reads no files; name the file in the rig file"
-                    )
-                parse_setpoint(text)
-            case ControllerCall(name=name, document=document):
-                controller = read_controller(document, name)
-                check_controller_fits(controller, name, self._facts.period_s, self._facts.units[call.axis])
-                check_law_runs(controller.law, controller.sample_time_s, name)
-            case EventCall(text=text):
-                self._check_event(text)
-            case _:
-                pass
+        prepared = prepare_controller(ControllerRequest(call.axis, call.name, call.document), self._rig)
+        if prepared.refusal:
+            raise DocumentError(f"controller refused: {prepared.refusal}")
+        return prepared
+
+    def _log_refusal(self, asked_by: str, reason: str) -> None:
+        """Give the loop a log entry about a request that it never saw."""
+        if self._throttle.should_report("refusal"):
+            text = f"{asked_by}: request refused: {reason}"
+            line = LogLine(time.time_ns(), int(Severity.WARNING), "operator", text)
+            with contextlib.suppress(OSError):
+                self._pipe.send(msgspec.msgpack.encode(Logged(line)))
 
     def _check_event(self, text: str) -> None:
         if self._facts.event_check is None:

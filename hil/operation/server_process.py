@@ -40,7 +40,7 @@ def main(arguments: list[str]) -> None:
     listener = socket.socket(fileno=int(arguments[0]))
     pipe = socket.socket(fileno=int(arguments[1]))
     pipe.setblocking(False)
-    facts = msgspec.json.decode(arguments[2], type=Facts)
+    facts = msgspec.json.decode(sys.stdin.buffer.read(), type=Facts)
     delay_s = RESTART_DELAY_S
     while True:
         began_s = time.monotonic()

@@ -29,15 +29,14 @@ def socket_process(listener: socket.socket, facts: Facts) -> Iterator[socket.soc
         with theirs:
             process = subprocess.Popen(
                 # -P: modules in the working directory are not imported.
-                [
-                    *(sys.executable, "-P", "-m", "hil.operation.server_process"),
-                    *map(str, descriptors),
-                    msgspec.json.encode(facts).decode(),
-                ],
+                [sys.executable, "-P", "-m", "hil.operation.server_process", *map(str, descriptors)],
                 pass_fds=descriptors,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C ends the daemon, which then ends this process.
             )
+        assert process.stdin is not None
+        with contextlib.suppress(BrokenPipeError), process.stdin:
+            process.stdin.write(msgspec.json.encode(facts))
         try:
             yield ours
         finally:

@@ -29,6 +29,6 @@ def refuse_other_gateway(link: Link, heartbeat_interval_s: float) -> None:
         if is_plain and frame.id in OWN_IDENTIFIERS:
             raise LinkError(
                 f"{link.spec}: another gateway is on this bus: its {OWN_IDENTIFIERS[frame.id]} frame "
-                f"(0x{frame.id:03X}) was heard. Nothing was sent. End the other gateway first: `hil shutdown` "
+                f"(0x{frame.id:03X}) was heard. Nothing was sent. End the other one first; `hil shutdown` "
                 "ends a daemon of this machine"
             )

@@ -138,7 +138,7 @@ class OperatorPort:
                 line = asked.line
                 session.note(LogEntry(Severity(line.severity), line.source, line.text))
                 continue
-            accepted, text = self._operate(session, asked.call, asked.asked_by)
+            accepted, text = self._operate(session, asked)
             replies.append(Replied(asked.number, accepted, text))
         if replies and self._cycle is not None:
             # First the status, so that a client that asks for it after its reply sees the effect.
@@ -147,14 +147,14 @@ class OperatorPort:
             self._send(reply)
         return bool(replies)
 
-    def _operate(self, session: Session, call: LoopCall, asked_by: str) -> Reply:
-        request = _core_request(call)
+    def _operate(self, session: Session, asked: Asked) -> Reply:
+        request = _core_request(asked.call)
         if request is not None:
-            return session.operate(request, asked_by)
-        action = self._actions.get(type(call))
+            return session.operate(request, asked.asked_by, asked.prepared)
+        action = self._actions.get(type(asked.call))
         if action is None:
-            return Reply(False, f"this daemon does not know the request {type(call).__name__}")
-        return action(call, asked_by)
+            return Reply(False, "this daemon does not know the request")
+        return action(asked.call, asked.asked_by)
 
     def _status(self, cycle: Cycle, gateway: Gateway) -> Status:
         described = self._described

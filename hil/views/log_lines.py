@@ -12,10 +12,13 @@ import os
 import sys
 import time
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from hil.core.gateway import Gateway
 from hil.core.output import Cycle, LogEntry, Severity
 from hil.views.display_process import DisplayProcess, received_messages
+
+if TYPE_CHECKING:
+    from hil.core.gateway import Gateway
 
 NAMES = {
     Severity.INFO: "info",
@@ -50,7 +53,8 @@ def main(file_descriptor: int) -> None:
     """Print the messages of a :class:`LogLines` until it is closed."""
     is_journal = goes_to_journal(2, os.environ)
     for message in received_messages(file_descriptor):
-        sys.stderr.write(log_line(*message["log"], is_journal=is_journal))
+        time_s, severity, source, text = message["log"]
+        sys.stderr.write(log_line(time_s, severity, source, text, is_journal))
         sys.stderr.flush()
 
 

@@ -17,9 +17,10 @@ from hil.operation.pipe import Asked, Facts, Logged, Replied, StatusNow, pipe
 from hil.operation.protocol import AxisStatus, LogLine, Status
 from hil.operation.server import Server
 from hil.operation.socket_path import listening
+from hil.shells.run_setup import RIG_NAME, SHIPPED
 
 TIMEOUT_S = 20.0
-FACTS = Facts("0.0", "can7", 0.0112, {"vertical": "m", "rotation": "rad"})
+FACTS = Facts("0.0", "can7", (SHIPPED / RIG_NAME).read_text())
 
 
 def status(**changes: Any) -> Status:
@@ -53,6 +54,8 @@ class MadeUpLoop:
         self.end = end
         self.end.settimeout(TIMEOUT_S)
         self.asked: list[Asked] = []
+        self.logged: list[str] = []
+        """Log entries of the server about requests that it refused."""
         self.reply: Callable[[Asked], Replied | None] = lambda a: Replied(a.number, True, "done")
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -74,7 +77,10 @@ class MadeUpLoop:
                 return
             if not data:
                 return
-            asked = msgspec.msgpack.decode(data, type=Asked)
+            asked = msgspec.msgpack.decode(data, type=Asked | Logged)  # type: ignore[type-var]
+            if isinstance(asked, Logged):
+                self.logged.append(asked.line.text)
+                continue
             self.asked.append(asked)
             reply = self.reply(asked)
             if reply is not None:
