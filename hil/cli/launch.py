@@ -39,6 +39,7 @@ def run_realtime(
     """
     from hil.host.realtime_rights import real_time_rights
     from hil.links import open_link
+    from hil.shells.bus_guard import refuse_other_gateway
     from hil.shells.realtime import run
     from hil.views.live_display import LiveDisplay
 
@@ -48,6 +49,8 @@ def run_realtime(
         if bus == SIMULATED:
             stack.enter_context(boards_process(spec, options))
         link = stack.enter_context(open_link(spec))
+        if bus != SIMULATED:
+            refuse_other_gateway(link, setup.rig.heartbeat_periods * setup.rig.loop.period_s)
         epoch_offset_ns = time.time_ns() - time.monotonic_ns()
         planned = planned_events(options) if bus == SIMULATED else {}
         header = run_header(setup, epoch_offset_ns, spec, link.stamp_origin, host_versions(), planned)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from firmware_sim.plant_options import add_plant_options, check_plant_options, given_plant_options
 from firmware_sim.simulated_plant import plant_texts
 from hil.cli.axis_values import by_axis
+from hil.cli.confirmation import confirm_motion, is_real
 from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.quantities import duration_text
 from hil.cli.record_path import create_folder_of, recording_path
@@ -49,7 +50,9 @@ axes.NAME.envelope) is refused.
 Controllers: the name of a shipped one ({shipped}), or a JSON file such as `hil design` writes. With --linear
 and without --rig, every axis has {linear}, which were designed for eq. (15).
 
-Buses: sim (simulated boards in a process of their own), vcan0, can0, slcan:/dev/ttyACM0, udp:PORT."""
+Buses: sim (simulated boards in a process of their own), vcan0, can0, slcan:/dev/ttyACM0, udp:PORT. On can0
+and slcan, a real arm may move: the command shows positions and setpoints, and asks. Without a terminal to ask
+on, it needs --yes."""
 
 
 def parser() -> CommandParser:
@@ -91,6 +94,9 @@ def parser() -> CommandParser:
     command.add_argument(
         "--record", type=Path, metavar="FILE", help="recording (default runs/<date>-<time>.mcap)"
     )
+    command.add_argument(
+        "--yes", action="store_true", help="do not ask before the axes of a bus that may be real move"
+    )
     add_plant_options(command)
     return command
 
@@ -109,6 +115,8 @@ def main(argv: list[str]) -> int:
             f"hil run: with --bus {bus}, the events of the scenario do not happen; `firmware-sim "
             "--scenario` simulates them\n"
         )
+    if is_real(bus) and not options.yes:
+        confirm_motion(setup, bus)
     duration_s = options.duration or (scenario.duration_s if scenario else DEFAULT_DURATION_S)
     plan = RunPlan(duration_s, setup.rig.loop.period_s)
     report = _recorded_run(setup, plan, bus, duration_s, options)
