@@ -89,7 +89,7 @@ class OperatorRequests:
             return Reply(False, f"controller refused: {prepared.refusal}")
         law = ControlLaw.of_numbers(prepared.numbers, self._rig.loop.period_s)
         matching = self._loops.change_law(request.axis, law, is_running)
-        loop = "" if prepared.is_loop_checked else "; the file names no plant, so the loop was not checked"
+        loop = "" if prepared.is_loop_checked else "; the file holds no plant as numbers, so the closed loop was not checked"
         return Reply(True, f"controller {request.name} {self._describe(request.axis, matching)}{loop}")
 
     def _read_setpoint(self, request: SetpointRequest) -> Setpoint:
