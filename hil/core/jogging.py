@@ -64,7 +64,10 @@ class Jogging:
         return self._loops.jog(self._jog, volts, deadline_ns, now_ns)
 
     def end(self, cause: str) -> Output:
-        """Go back to state armed because of ``cause``. The caller sends the command that centres the valves."""
+        """Go back to state armed because of ``cause``.
+
+        The caller sends the command that centres the valves.
+        """
         self._jog = None
         return self._state.enter(Trigger.STOP, f"jog ended: {cause}")
 
