@@ -56,7 +56,7 @@ class Jogging:
         """End a jog whose time is over."""
         if self._jog is None or not self.is_active or now_ns < self._jog.end_ns:
             return NOTHING
-        return self.end("jog is over")
+        return self.end("its time is over")
 
     def move(self, volts: Sequence[float], deadline_ns: int, now_ns: int) -> JogEnd | LoopFailure | None:
         """Command the jogged axis; see :meth:`AxisLoops.jog`."""
@@ -64,9 +64,12 @@ class Jogging:
         return self._loops.jog(self._jog, volts, deadline_ns, now_ns)
 
     def end(self, cause: str) -> Output:
-        """Go back to state armed. The caller sends the command that centres the valves."""
+        """Go back to state armed because of ``cause``.
+
+        The caller sends the command that centres the valves.
+        """
         self._jog = None
-        return self._state.enter(Trigger.STOP, cause)
+        return self._state.enter(Trigger.STOP, f"jog ended: {cause}")
 
     def _refusal(self, request: JogRequest) -> str | None:
         """Return why a jog is not possible now, or None."""

@@ -20,6 +20,7 @@ MAX_NAME = 200
 """Longest name of an axis or of a controller file in a request, in characters."""
 MAX_SETPOINT = 1000
 """Longest text of a setpoint in a request, in characters."""
+LOOP_NOT_CHECKED = "; the file holds no plant as numbers, so the closed loop was not checked"
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
@@ -89,8 +90,8 @@ class OperatorRequests:
             return Reply(False, f"controller refused: {prepared.refusal}")
         law = ControlLaw.of_numbers(prepared.numbers, self._rig.loop.period_s)
         matching = self._loops.change_law(request.axis, law, is_running)
-        loop = "" if prepared.is_loop_checked else "; the file names no plant, so the loop was not checked"
-        return Reply(True, f"controller {request.name} {self._describe(request.axis, matching)}{loop}")
+        text = f"controller {request.name} {self._describe(request.axis, matching)}"
+        return Reply(True, text if prepared.is_loop_checked else text + LOOP_NOT_CHECKED)
 
     def _read_setpoint(self, request: SetpointRequest) -> Setpoint:
         """Read a setpoint and check it against the limits of its axis. Raises SetpointError."""

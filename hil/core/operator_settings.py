@@ -29,6 +29,8 @@ DEFAULT_JOG_V = 1.0
 DEFAULT_JOG_S = 0.5
 """Default of ``jog_max_s``. With 1 V the axis then moves at most about half its range."""
 
+_ROUNDING = 1e-9
+
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
 JogVolts = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
 JogTime = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
@@ -80,7 +82,7 @@ def check_operator_settings(
     ``where`` is the place of the table for errors. Raises DocumentError.
     """
     speed = settings.setpoint_max_speed
-    if speed is not None and speed > envelope.max_speed:
+    if speed is not None and speed > envelope.max_speed * (1.0 + _ROUNDING):
         raise DocumentError(
             f"{where}.setpoint_max_speed: {speed:g} {unit}/s is more than the envelope's max_speed, "
             f"{envelope.max_speed:g} {unit}/s; an axis that follows such a setpoint would fault; reduce it"

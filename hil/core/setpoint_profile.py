@@ -93,7 +93,8 @@ class SetpointProfile:
         if math.isnan(self._t):
             self._origin_s = t
         self._t = t
-        target, drift = self._target(t - self._origin_s)
+        # Rounded to nanoseconds: a step begins in its own period even if the difference is rounded down.
+        target, drift = self._target(round(t - self._origin_s, 9))
         self._advance(target, drift)
         return self._r
 

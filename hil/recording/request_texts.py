@@ -47,7 +47,9 @@ def read_request(text: str) -> tuple[Request, str]:
     if kind is None:
         return _trigger(name), str(asked_by)
     try:
-        return msgspec.convert(fields, kind), str(asked_by)
+        if fields.keys() != set(kind._fields):
+            raise msgspec.ValidationError(f"it must have the keys {', '.join(kind._fields)}")
+        return msgspec.convert([fields[key] for key in kind._fields], kind), str(asked_by)
     except msgspec.ValidationError as error:
         raise ValueError(f"{text!r} is not a request of the kind {name}: {error}") from None
 

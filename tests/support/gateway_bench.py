@@ -21,6 +21,7 @@ from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import Cycle, LogEntry, Output, Severity, combine
+from hil.core.requests import Request
 from hil.core.rig import Rig, read_rig
 from hil.core.setpoints import parse_setpoint
 from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS
@@ -213,9 +214,9 @@ class SteppedGateway:
         for _ in range(number):
             self.period()
 
-    def operate(self, trigger: Trigger) -> Output:
-        """Give an operator's trigger now."""
-        return self.transcript.add(self.core.operate(trigger, self.now_ns))
+    def operate(self, request: Request) -> Output:
+        """Give an operator's request now."""
+        return self.transcript.add(self.core.operate(request, self.now_ns))
 
     def bring_to(self, state: LifeCycleState) -> SteppedGateway:
         """Go from offline to ``state`` by the shortest way."""
@@ -283,9 +284,9 @@ class RigBench:
         for _ in range(number):
             self.period()
 
-    def operate(self, trigger: Trigger) -> Output:
-        """Give an operator's trigger now."""
-        output = self.transcript.add(self.gateway.operate(trigger, self.now_ns))
+    def operate(self, request: Request) -> Output:
+        """Give an operator's request now."""
+        output = self.transcript.add(self.gateway.operate(request, self.now_ns))
         self._carry(output.frames, ())
         return output
 

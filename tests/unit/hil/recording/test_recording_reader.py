@@ -30,6 +30,7 @@ from hil.core.errors import RecordingError
 from hil.core.frames import Frame
 from hil.core.life_cycle import Trigger
 from hil.core.output import LogEntry, Severity
+from hil.core.requests import ControllerRequest, JogRequest, SetpointRequest
 from hil.recording.entries import (
     DeadlineCalled,
     Entry,
@@ -198,12 +199,20 @@ frames = st.builds(
     is_error=st.booleans(),
 )
 texts = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=30)
+any_texts = st.text(max_size=30)
+finite = st.floats(allow_nan=False)
+requests = st.one_of(
+    st.sampled_from(Trigger),
+    st.builds(SetpointRequest, any_texts, any_texts),
+    st.builds(ControllerRequest, any_texts, any_texts, any_texts),
+    st.builds(JogRequest, any_texts, finite, finite),
+)
 entries = st.one_of(
     st.builds(FrameReceived, instants, frames, st.integers(0, 2**31 * 10**9 - 1)),
     st.builds(FrameSent, instants, frames),
     st.builds(FrameRefused, instants, frames),
     st.builds(DeadlineCalled, instants, instants),
-    st.builds(Operated, instants, st.sampled_from(Trigger)),
+    st.builds(Operated, instants, requests, any_texts),
     st.builds(LinkFailed, instants, texts),
     st.builds(Logged, instants, st.builds(LogEntry, st.sampled_from(Severity), texts, texts)),
 )
@@ -227,8 +236,8 @@ def test_all_entries_come_back_in_their_order(
                 recorder.frame_refused(frame, now_ns)
             case DeadlineCalled(now_ns, deadline_ns):
                 recorder.deadline_called(deadline_ns, now_ns)
-            case Operated(now_ns, trigger):
-                recorder.operated(trigger, now_ns)
+            case Operated(now_ns, request, asked_by):
+                recorder.operated(request, now_ns, asked_by)
             case LinkFailed(now_ns, reason):
                 recorder.link_failed(reason, now_ns)
             case Logged(now_ns, log_entry):

@@ -10,8 +10,9 @@ from firmware_sim.boards.faults import AdcFaults
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import Output
+from hil.core.requests import JogRequest
 from hil.core.wire import codec
-from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
+from hil.shells.run_plan import CENTRING_PERIODS, Ending, OperatorPlan, Plan, RunPlan, StopRequest
 
 
 class PlannedRun:
@@ -19,7 +20,7 @@ class PlannedRun:
 
     def __init__(self, duration_s: float, bring_up_s: float = 5.0) -> None:
         self.bench = RigBench(make_rig())
-        self.plan = RunPlan(duration_s, PERIOD_S, bring_up_s)
+        self.plan: Plan = RunPlan(duration_s, PERIOD_S, bring_up_s)
         self.triggers: list[tuple[int, Trigger]] = []
         self.number = 0
 
@@ -227,3 +228,79 @@ def test_a_failure_ends_a_run_at_once_and_a_fault_before_it_stays_the_reason(bef
     assert plan.ending is (Ending.FAULT if before is Ending.FAULT else Ending.LINK)
     plan.after_period(make_stepped().core)
     assert plan.is_over
+
+
+class TestOperatorPlan:
+    """The plan of a daemon."""
+
+    def test_it_never_gives_a_trigger_before_the_end(self) -> None:
+        run = PlannedRun(1.0)
+        run.plan = OperatorPlan()
+        run.periods(50)
+        assert run.bench.gateway.state is LifeCycleState.READY
+        run.bench.operate(Trigger.ARM)
+        run.bench.operate(Trigger.START)
+        run.periods(50)
+        run.bench.operate(Trigger.STOP)
+        run.bench.operate(Trigger.DISARM)
+        run.periods(10)
+        assert run.triggers == []
+        assert run.plan.ending is None
+
+    def test_a_fault_stays_until_the_reset_and_does_not_end_the_run(self) -> None:
+        run = PlannedRun(1.0)
+        run.plan = OperatorPlan()
+        run.periods(20)
+        run.bench.transcript.add(run.bench.gateway.link_failed("test"))
+        run.periods(500)
+        assert run.bench.gateway.state is LifeCycleState.FAULT
+        assert not run.plan.is_over
+        run.bench.operate(Trigger.RESET)
+        run.periods(20)
+        assert run.bench.gateway.state is LifeCycleState.READY
+
+    def test_a_stop_request_stops_the_axes_centres_the_valves_and_ends(self) -> None:
+        run = PlannedRun(1.0)
+        run.plan = OperatorPlan()
+        run.periods(20)
+        run.bench.operate(Trigger.ARM)
+        run.bench.operate(Trigger.START)
+        run.periods(20)
+        run.plan.end(Ending.INTERRUPTED)
+        run.bench.transcript.frames.clear()
+        run.until()
+        assert [trigger for _, trigger in run.triggers] == [Trigger.STOP]
+        assert len(run.bench.transcript.commands()) >= CENTRING_PERIODS
+        assert run.bench.transcript.commands()[-CENTRING_PERIODS:] == [CENTRED] * CENTRING_PERIODS
+        assert run.bench.boards.dac.valve_v == CENTRED
+
+    @pytest.mark.parametrize("has_fault", [False, True])
+    def test_a_stop_request_in_another_state_only_centres(self, has_fault: bool) -> None:
+        run = PlannedRun(1.0)
+        run.plan = OperatorPlan()
+        run.periods(20)
+        if has_fault:
+            run.bench.transcript.add(run.bench.gateway.link_failed("test"))
+        run.plan.end(Ending.INTERRUPTED)
+        before = run.number
+        run.until()
+        assert run.number - before == CENTRING_PERIODS
+        assert run.triggers == []
+
+    def test_a_jog_is_ended_too(self) -> None:
+        run = PlannedRun(1.0)
+        run.plan = OperatorPlan()
+        run.periods(20)
+        run.bench.operate(Trigger.ARM)
+        run.bench.operate(JogRequest("vertical", 0.5, 0.5))
+        run.periods(2)
+        run.plan.end(Ending.INTERRUPTED)
+        run.until()
+        assert run.bench.gateway.state is LifeCycleState.ARMED
+        assert run.bench.boards.dac.valve_v == CENTRED
+
+    def test_a_link_that_fails_ends_it_at_once(self) -> None:
+        plan = OperatorPlan()
+        plan.fail(Ending.LINK)
+        assert plan.is_over
+        assert plan.ending is Ending.LINK

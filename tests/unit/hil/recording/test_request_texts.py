@@ -1,0 +1,60 @@
+"""Requests as texts: readable, complete, and with the texts of earlier recordings."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hil.core.life_cycle import Trigger
+from hil.core.requests import ControllerRequest, JogRequest, SetpointRequest
+from hil.recording.request_texts import describe_request, read_request, request_text
+
+
+@pytest.mark.parametrize("trigger", Trigger)
+def test_a_trigger_without_an_asker_is_its_bare_value(trigger: Trigger) -> None:
+    assert request_text(trigger, "") == trigger.value
+    assert read_request(trigger.value) == (trigger, "")
+
+
+def test_a_request_is_an_object_with_named_fields() -> None:
+    text = request_text(JogRequest("vertical", 0.5, 0.2), "uid 1000")
+    assert json.loads(text) == {
+        "request": "jog",
+        "axis": "vertical",
+        "offset_v": 0.5,
+        "duration_s": 0.2,
+        "asked_by": "uid 1000",
+    }
+    assert json.loads(request_text(Trigger.ARM, "uid 1000")) == {"request": "arm", "asked_by": "uid 1000"}
+
+
+def test_whole_numbers_are_read_as_floats() -> None:
+    text = '{"request": "jog", "axis": "a", "offset_v": 1, "duration_s": 2, "asked_by": ""}'
+    request, _ = read_request(text)
+    assert request == JogRequest("a", 1.0, 2.0)
+    assert isinstance(request, JogRequest)
+    assert isinstance(request.offset_v, float)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("dance", "'dance' is not a command of the operator"),
+        ('{"request": "dance"}', "'dance' is not a command of the operator"),
+        ("{}", "'' is not a command of the operator"),
+        ("{", "Expecting property name"),
+        ('{"request": "jog", "axis": "a"}', "must have the keys axis, offset_v, duration_s"),
+        ('{"request": "setpoint", "axis": "a", "setpoint": 1.0}', "not a request of the kind setpoint"),
+    ],
+)
+def test_a_text_that_is_no_request_is_refused(text: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        read_request(text)
+
+
+def test_requests_in_words() -> None:
+    assert describe_request(Trigger.ARM) == "arm"
+    assert describe_request(SetpointRequest("a", "0.1")) == "setpoint of a: 0.1"
+    assert describe_request(ControllerRequest("a", "ppid", "{}")) == "controller of a: ppid"
+    assert describe_request(JogRequest("a", -0.5, 0.2)) == "jog a by -0.5 V for 0.2 s"
