@@ -16,8 +16,10 @@ from hil.operation.protocol import LogLine, LoopCall, Status
 
 MAX_MESSAGE_BYTES = 160 * 1024
 """Largest message. It holds a request of the largest line."""
-SEND_BUFFER_BYTES = 208 * 1024
-"""Size asked for the kernel's buffer, the default limit of an unprivileged process."""
+REQUEST_BUFFER_BYTES = 208 * 1024
+"""Kernel's buffer for requests, the default limit of an unprivileged process."""
+STATUS_BUFFER_BYTES = 32 * 1024
+"""Kernel's buffer for what the loop sends. A server that has stopped is noticed after some seconds."""
 
 
 class Asked(msgspec.Struct, frozen=True, array_like=True, tag="asked"):
@@ -69,8 +71,8 @@ class Facts(msgspec.Struct, frozen=True):
 
 def pipe() -> tuple[socket.socket, socket.socket]:
     """Return the loop's end and the server's end. Neither blocks."""
-    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    for end in ends:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end, size in ((ours, STATUS_BUFFER_BYTES), (theirs, REQUEST_BUFFER_BYTES)):
         end.setblocking(False)
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-    return ends
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, size)
+    return ours, theirs

@@ -38,7 +38,7 @@ MAX_REQUESTS_PER_PERIOD = 4
 """Number of requests that are taken after one period."""
 STATUS_PERIODS = 9
 """Number of periods from one status to the next, about 0.1 s."""
-MAX_DROPPED_IN_ROW = 50
+MAX_DROPPED_IN_ROW = 20
 """This many messages in a row that the socket process did not take mean that it has stopped."""
 
 Action = Callable[[Any, str], Reply]
