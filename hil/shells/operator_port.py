@@ -123,7 +123,7 @@ class OperatorPort:
     def _take_requests(self, session: Session) -> bool:
         """Take some requests. Return whether there were any."""
         replies: list[Replied] = []
-        while self._is_open and len(replies) < MAX_REQUESTS_PER_PERIOD:
+        for _ in range(MAX_REQUESTS_PER_PERIOD if self._is_open else 0):
             try:
                 data = self._pipe.recv(MAX_MESSAGE_BYTES)
             except BlockingIOError:
@@ -133,7 +133,10 @@ class OperatorPort:
             if not data:
                 self._close(session)
                 break
-            asked = self._decoder.decode(data)
+            try:
+                asked = self._decoder.decode(data)
+            except ValueError:
+                continue  # nobody waits for an answer to it
             if isinstance(asked, Logged):
                 line = asked.line
                 session.note(LogEntry(Severity(line.severity), line.source, line.text))

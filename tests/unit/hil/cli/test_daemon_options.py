@@ -1,0 +1,75 @@
+"""The arguments of ``hil daemon``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.cli import daemon_run, main
+from hil.shells.run_setup import RunSetup
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[tuple[RunSetup, str]]:
+    """The setup and the bus of each daemon that would be started."""
+    found: list[tuple[RunSetup, str]] = []
+
+    def run_daemon(setup: RunSetup, bus: str, _options: Any) -> int:
+        found.append((setup, bus))
+        return 0
+
+    monkeypatch.setattr(daemon_run, "run_daemon", run_daemon)
+    return found
+
+
+def setpoints(setup: RunSetup) -> dict[str, str]:
+    return {name: setpoint.text for name, setpoint in setup.setpoints.items()}
+
+
+def test_every_axis_holds_its_position(started: list[tuple[RunSetup, str]]) -> None:
+    """The steps of the rig file are for `hil run`."""
+    assert main(["daemon"]) == 0
+    ((setup, bus),) = started
+    assert setpoints(setup) == {"vertical": "hold", "horizontal": "hold", "rotation": "hold"}
+    assert bus == "sim"
+    assert {"arm.toml", "plant.json"} <= set(setup.texts)
+
+
+def test_a_setpoint_and_a_controller_can_be_given(started: list[tuple[RunSetup, str]]) -> None:
+    arguments = ["--setpoint", "vertical=step:0.1@0", "--controller", "vertical=hls", "--bus", "vcan3"]
+    assert main(["daemon", *arguments]) == 0
+    ((setup, bus),) = started
+    assert setpoints(setup)["vertical"] == "step:0.1@0"
+    assert setup.controllers["vertical"].name != setup.controllers["horizontal"].name
+    assert bus == "vcan3"
+    assert "arm.toml" not in setup.texts
+
+
+def test_a_scenario_gives_setpoints(started: list[tuple[RunSetup, str]]) -> None:
+    assert main(["daemon", "--scenario", "fig14"]) == 0
+    ((setup, _),) = started
+    assert setpoints(setup)["vertical"].startswith("ladder:")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--rig", "nosuch.toml"], "nosuch.toml"),
+        (["--bus", "vcan0", "--linear"], "--linear chooses what"),
+        (["--setpoint", "elbow=hold"], "elbow"),
+    ],
+)
+def test_wrong_arguments_have_status_2(
+    started: list[tuple[RunSetup, str]],
+    arguments: list[str],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["daemon", *arguments]) == 2
+    assert words in capsys.readouterr().err
+    assert started == []

@@ -1,0 +1,206 @@
+"""The commands for a running daemon, against a server with a made-up loop behind it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.operation_bench import MadeUpLoop, served, status
+
+from hil.cli import OPERATION, command_module, main
+from hil.cli.operate import duration
+from hil.cli.status import show_json, show_live, show_text, status_lines
+from hil.operation.pipe import Replied
+from hil.operation.protocol import ControllerCall, EventCall, JogCall, LogLine, SetpointCall, Status
+
+Bench = tuple[MadeUpLoop, list[str]]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with served(tmp_path) as (loop, path):
+        yield loop, ["--socket", str(path)]
+
+
+@pytest.mark.parametrize("name", ["arm", "disarm", "start", "stop", "reset"])
+def test_a_command_prints_what_the_daemon_says(
+    bench: Bench, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, at = bench
+    loop.reply = lambda asked: Replied(asked.number, True, f"{name}: it happened")
+    assert main([name, *at]) == 0
+    assert capsys.readouterr().out == f"{name}: it happened\n"
+
+
+def test_a_refusal_is_an_error_with_status_1(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    loop, at = bench
+    loop.reply = lambda asked: Replied(asked.number, False, "arm refused in state offline")
+    assert main(["arm", *at]) == 1
+    assert capsys.readouterr().err == "hil arm: arm refused in state offline\n"
+
+
+@pytest.mark.parametrize("name", [name for name in OPERATION if name not in ("daemon",)])
+def test_without_a_daemon_each_command_says_what_to_start(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = {
+        "setpoint": ["vertical=0.1"],
+        "controller": ["vertical=ppid"],
+        "jog": ["vertical=1"],
+        "event": ["payload:3"],
+        "record": ["new"],
+    }
+    assert main([name, *values.get(name, []), "--socket", str(tmp_path / "none")]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"hil {name}: no daemon runs at ")
+    assert "start one with `hil daemon`" in error
+
+
+def test_setpoints_are_numbers_or_texts(bench: Bench) -> None:
+    loop, at = bench
+    assert main(["setpoint", "vertical=0.05", "rotation=sine:0.1@0/4", *at]) == 0
+    assert [asked.call for asked in loop.asked] == [
+        SetpointCall(id=1, axis="vertical", setpoint="step:0.05@0"),
+        SetpointCall(id=2, axis="rotation", setpoint="sine:0.1@0/4"),
+    ]
+
+
+def test_a_controller_is_a_file_or_a_shipped_one(bench: Bench) -> None:
+    loop, at = bench
+    assert main(["controller", "vertical=ppid", *at]) == 0
+    (call,) = [asked.call for asked in loop.asked]
+    assert isinstance(call, ControllerCall)
+    assert (call.axis, call.name) == ("vertical", "ppid.json")
+    assert '"hil-controller"' in call.document
+
+
+def test_a_jog_is_one_request_if_it_is_short(bench: Bench) -> None:
+    loop, at = bench
+    assert main(["jog", "vertical=-0.5", "--for", "0.2s", *at]) == 0
+    assert [asked.call for asked in loop.asked] == [
+        JogCall(id=1, axis="vertical", offset_v=-0.5, duration_s=0.2)
+    ]
+
+
+def test_a_long_jog_is_repeated_in_parts(bench: Bench) -> None:
+    """So the axis stops soon after this command ends."""
+    loop, at = bench
+    assert main(["jog", "vertical=0.5", "--for", "500ms", *at]) == 0
+    durations = [asked.call.duration_s for asked in loop.asked if isinstance(asked.call, JogCall)]
+    assert len(durations) >= 2
+    assert max(durations) <= 0.3
+
+
+def test_an_event_is_checked_by_the_daemon(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    loop, at = bench
+    assert main(["event", "payload:3", *at]) == 1
+    assert "only the simulated arm has events" in capsys.readouterr().err
+    assert not any(isinstance(asked.call, EventCall) for asked in loop.asked)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["jog", "vertical"], "the axis or the value is missing"),
+        (["jog", "vertical=fast"], "'fast' is not a number of volts"),
+        (["setpoint", "vertical"], "write hil setpoint vertical=0.05"),
+        (["controller", "vertical=nosuch"], "there is no file nosuch"),
+    ],
+)
+def test_wrong_values_have_status_2(
+    bench: Bench, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*arguments, *bench[1]]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("text", "value"), [("0.2s", 0.2), ("200ms", 0.2), ("0.2", 0.2), (" 1 s", 1.0)])
+def test_durations(text: str, value: float) -> None:
+    assert duration(text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["0", "0ms", "soon", "s", "nan"])
+def test_wrong_durations(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["jog", "vertical=1", "--for", text])
+    assert text in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", OPERATION)
+def test_help_fits_80_columns(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert command_module(name) is not None
+    with pytest.raises(SystemExit) as caught:
+        main([name, "--help"])
+    assert caught.value.code == 0
+    assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines())
+
+
+def test_the_status_as_a_text(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    loop, at = bench
+    loop.send_status()
+    main(["arm", *at])  # so that the status has arrived
+    capsys.readouterr()
+    assert main(["status", *at]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "ready     can7, period 100 of 11.2 ms",
+        "timing    late up to 0.12 ms, missed 0, rejected 0, lost 0",
+        "  vertical      +0.0123 m    setpoint  +0.0500 m    valve  6.20 V",
+        "  rotation            – rad  setpoint        – rad  valve  5.00 V",
+        "record    runs/one.mcap",
+    ]
+
+
+def test_the_status_as_json_and_a_fault(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    loop, at = bench
+    loop.send_status(state="fault", fault="adc: lost")
+    main(["arm", *at])
+    capsys.readouterr()
+    assert main(["status", "--json", *at]) == 1
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["fault"], shown["axes"][1]["position"]) == ("adc: lost", None)
+
+
+def test_status_lines_name_what_is_wrong() -> None:
+    lines = status_lines(status(state="fault", fault="adc: lost", recording=None))
+    assert lines[-3:] == [
+        "record    nothing is recorded",
+        "fault     adc: lost",
+        "          remove the cause, then `hil reset`",
+    ]
+    offline = status_lines(status(state="offline", readiness="adc silent"))
+    assert offline[-1] == "boards    adc silent"
+
+
+def looks() -> list[Status]:
+    return [status(log=(LogLine(0, 30, "loop", "late"),)), status(state="armed")]
+
+
+def test_watching_shows_the_log_above_the_status(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert show_live(looks()) == status(state="armed")
+    shown = capsys.readouterr().out
+    assert "warning  loop: late\nready " in shown
+    assert "\x1b" not in shown
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    show_live(looks())
+    assert "\x1b[5F\x1b[Jarmed" in capsys.readouterr().out
+
+
+def test_each_look_is_a_line_of_json(capsys: pytest.CaptureFixture[str]) -> None:
+    show_json(looks())
+    assert [json.loads(line)["state"] for line in capsys.readouterr().out.splitlines()] == ["ready", "armed"]
+    show_text(looks())
+    assert "armed" in capsys.readouterr().out
+
+
+def test_watch_ends_with_the_daemon(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with served(tmp_path) as (loop, path):
+        loop.send_status()
+        loop.end.shutdown(2)
+        assert main(["status", "--watch", "--interval", "0.05", "--socket", str(path)]) in (0, 1)

@@ -1,0 +1,73 @@
+"""The daemon's socket file: its default place, its mode, and one daemon at a time."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+from pathlib import Path
+
+import pytest
+
+from hil.core.errors import OperationError
+from hil.operation.client import connect
+from hil.operation.socket_path import default_path, listening
+
+
+def test_the_default_is_in_the_runtime_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
+    assert default_path() == Path("/run/user/7/hil/daemon.sock")
+
+
+def test_root_without_a_runtime_folder_uses_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 0)
+    assert default_path() == Path("/run/hil/daemon.sock")
+
+
+def test_a_user_without_a_runtime_folder_names_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 4_000_000)
+    with pytest.raises(OperationError, match="give --socket a path"):
+        default_path()
+
+
+def test_the_file_is_private_and_removed_at_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "d.sock"
+    with listening(path) as listener:
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(path))
+        assert listener.getsockname() == str(path)
+    assert not path.exists()
+
+
+def test_two_daemons_do_not_share_a_socket(tmp_path: Path) -> None:
+    path = tmp_path / "d.sock"
+    with listening(path), pytest.raises(OperationError, match="another daemon serves"), listening(path):
+        pass
+
+
+def test_the_socket_of_a_daemon_that_was_killed_is_taken_over(tmp_path: Path) -> None:
+    path = tmp_path / "d.sock"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    with pytest.raises(OperationError, match="no daemon runs at"):
+        connect(path)
+    with listening(path), socket.socket(socket.AF_UNIX) as client:
+        client.connect(str(path))
+
+
+def test_an_error_of_the_daemon_itself_is_not_changed(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), listening(tmp_path / "d.sock"):
+        raise FileNotFoundError
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [(Path("/proc/nowhere/d.sock"), "cannot be used"), (Path("/tmp/" + "x" * 120), "107 bytes")],
+)
+def test_a_path_that_cannot_be_used_is_explained(path: Path, words: str) -> None:
+    with pytest.raises(OperationError, match=words), listening(path):
+        pass

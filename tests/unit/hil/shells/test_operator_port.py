@@ -1,0 +1,223 @@
+"""The loop's end of the operators' pipe, on a lockstep run: requests, status, and a dead other end."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+from support.operated_runs import OperatedRun
+
+from hil.core.output import LogEntry, Severity
+from hil.core.requests import Reply
+from hil.operation.pipe import Asked, FromLoop, Logged, Replied, StatusNow, pipe
+from hil.operation.protocol import (
+    ArmCall,
+    ControllerCall,
+    DisarmCall,
+    EventCall,
+    JogCall,
+    LogLine,
+    LoopCall,
+    ResetCall,
+    SetpointCall,
+    ShutdownCall,
+    StartCall,
+    Status,
+    StopCall,
+)
+from hil.shells.observers import Observers
+from hil.shells.operator_port import (
+    MAX_DROPPED_IN_ROW,
+    MAX_REQUESTS_PER_PERIOD,
+    STATUS_PERIODS,
+    Action,
+    Described,
+    OperatorPort,
+)
+from hil.shells.run_setup import SHIPPED_CONTROLLERS
+
+WHO = "alice (hil, process 7)"
+
+
+class PortBench:
+    """A lockstep run with a port, and the socket process' end of the pipe."""
+
+    def __init__(self, path: Path, actions: dict[type[LoopCall], Action]) -> None:
+        self.run = OperatedRun(path, dict.fromkeys(("vertical", "horizontal", "rotation"), "hold"))
+        ours, self.end = pipe()
+        self._ours = ours
+        axes = tuple((name, axis.unit) for name, axis in self.run.setup.rig.axes.items())
+        described = Described("can7", False, axes, 0.0112, 10**18)
+        self.port = OperatorPort(ours, described, actions, lambda: "one.mcap", lambda: 0)
+        self.run.session._observer = Observers(self.port, self.run.shown)
+        self.number = 0
+
+    def ask(self, call: LoopCall) -> None:
+        self.number += 1
+        self.end.send(msgspec.msgpack.encode(Asked(self.number, WHO, call)))
+
+    def period(self, number: int = 1) -> None:
+        for _ in range(number):
+            self.run.periods(1)
+            self.port.serve(self.run.session)
+
+    def received(self) -> list[FromLoop]:
+        found: list[FromLoop] = []
+        while True:
+            try:
+                found.append(msgspec.msgpack.decode(self.end.recv(1 << 20), type=FromLoop))
+            except BlockingIOError:
+                return found
+
+    def replies(self) -> list[Replied]:
+        return [message for message in self.received() if isinstance(message, Replied)]
+
+    def reply_to(self, call: LoopCall) -> Replied:
+        self.ask(call)
+        self.period()
+        (reply,) = self.replies()
+        return reply
+
+    def close(self) -> None:
+        self.run.close()
+        self._ours.close()
+        self.end.close()
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[PortBench]:
+    made = PortBench(
+        tmp_path / "run.mcap",
+        {ShutdownCall: lambda _call, asked_by: Reply(True, f"the daemon ends for {asked_by}")},
+    )
+    made.period(20)
+    made.received()
+    yield made
+    made.close()
+
+
+def texts(bench: PortBench, source: str) -> list[str]:
+    return [entry.text for entry in bench.run.shown.entries if entry.source == source]
+
+
+def test_requests_reach_the_core_with_who_asked(bench: PortBench) -> None:
+    document = (SHIPPED_CONTROLLERS / "ppid.json").read_text()
+    for call, is_accepted in (
+        (StartCall(), False),
+        (ArmCall(), True),
+        (SetpointCall(axis="vertical", setpoint="0.05"), True),
+        (SetpointCall(axis="elbow", setpoint="0.05"), False),
+        (ControllerCall(axis="vertical", name="c.json", document=document), True),
+        (ControllerCall(axis="vertical", name="c.json", document="{}"), False),
+        (JogCall(axis="vertical", offset_v=0.3, duration_s=0.02), True),
+        (StopCall(), True),
+        (StartCall(), True),
+        (StopCall(), True),
+        (DisarmCall(), True),
+        (ResetCall(), False),
+    ):
+        reply = bench.reply_to(call)
+        assert reply.number == bench.number
+        assert (reply.accepted, bool(reply.text)) == (is_accepted, True), reply
+    assert texts(bench, "operator")[:2] == [f"{WHO} asks: start", f"{WHO} asks: arm"]
+
+
+def test_other_requests_are_the_daemons(bench: PortBench) -> None:
+    assert bench.reply_to(ShutdownCall()) == Replied(1, True, f"the daemon ends for {WHO}")
+    refused = bench.reply_to(EventCall(text="payload:3"))
+    assert not refused.accepted
+
+
+def test_the_status_with_the_effect_comes_before_the_reply(bench: PortBench) -> None:
+    bench.ask(ArmCall())
+    bench.period()
+    kinds = [type(message) for message in bench.received() if not isinstance(message, Logged)]
+    assert kinds == [StatusNow, Replied, StatusNow] or kinds == [StatusNow, Replied]
+
+
+def test_a_period_takes_a_bounded_number_of_requests(bench: PortBench) -> None:
+    for _ in range(3 * MAX_REQUESTS_PER_PERIOD):
+        bench.ask(ArmCall())
+    for _ in range(3):
+        bench.period()
+        assert len(bench.replies()) == MAX_REQUESTS_PER_PERIOD
+    bench.period()
+    assert bench.replies() == []
+
+
+def test_nothing_is_taken_before_the_period_is_over(bench: PortBench) -> None:
+    bench.ask(ArmCall())
+    bench.port.serve(bench.run.session)
+    assert bench.replies() == []
+
+
+def test_a_request_takes_effect_within_two_periods(bench: PortBench) -> None:
+    bench.reply_to(ArmCall())
+    bench.reply_to(StartCall())
+    bench.period(5)
+    before = bench.run.shown.cycles[-1]
+    bench.ask(SetpointCall(axis="vertical", setpoint="0.05"))
+    bench.period(2)
+    after = bench.run.shown.cycles[-1]
+    assert after.number - before.number == 2
+    assert after.axes[0].setpoint > before.axes[0].setpoint
+
+
+def test_the_status_has_the_signals_and_comes_regularly(bench: PortBench) -> None:
+    bench.period(10 * STATUS_PERIODS)
+    statuses = [message.status for message in bench.received() if isinstance(message, StatusNow)]
+    assert 9 <= len(statuses) <= 11
+    last: Status = statuses[-1]
+    assert (last.state, last.bus, last.recording, last.fault) == ("ready", "can7", "one.mcap", None)
+    assert [(axis.name, axis.unit) for axis in last.axes] == [
+        ("vertical", "m"),
+        ("horizontal", "m"),
+        ("rotation", "rad"),
+    ]
+    assert last.axes[0].command_v == 5.0
+    assert last.readiness == "adc operational; dac operational"
+
+
+def test_numbers_that_are_not_known_are_none(tmp_path: Path) -> None:
+    bench = PortBench(tmp_path / "run.mcap", {})
+    bench.run.gateway.on_deadline(1)  # without a sample
+    bench.period()
+    bench.port._next_status = 0
+    (first, *_) = [message.status for message in bench.received() if isinstance(message, StatusNow)]
+    assert first.axes[0].position is None or isinstance(first.axes[0].position, float)
+    bench.close()
+
+
+def test_log_entries_are_passed_on_in_both_directions(bench: PortBench) -> None:
+    bench.port.log(LogEntry(Severity.WARNING, "loop", "late"))
+    assert bench.received() == [Logged(LogLine(10**18, 30, "loop", "late"))]
+    line = LogLine(1, int(Severity.ERROR), "operation", "the server ended")
+    bench.end.send(msgspec.msgpack.encode(Logged(line)))
+    bench.period()
+    assert LogEntry(Severity.ERROR, "operation", "the server ended") in bench.run.shown.entries
+
+
+def test_garbage_from_the_socket_process_is_dropped(bench: PortBench) -> None:
+    bench.end.send(b"\xc1garbage")
+    assert bench.reply_to(ArmCall()).accepted
+
+
+def test_a_socket_process_that_has_stopped_is_reported_once(bench: PortBench) -> None:
+    for _ in range(10_000):
+        bench.port.log(LogEntry(Severity.INFO, "loop", "x" * 100))
+        if bench.port._dropped_in_row >= MAX_DROPPED_IN_ROW:
+            break
+    bench.period(10 * STATUS_PERIODS)
+    assert len([text for text in texts(bench, "operation") if "takes no messages" in text]) == 1
+    assert bench.run.gateway.state.name == "READY"
+
+
+def test_the_loop_goes_on_when_the_socket_process_has_ended(bench: PortBench) -> None:
+    bench.end.shutdown(socket.SHUT_RDWR)
+    bench.period(10 * STATUS_PERIODS)
+    (text,) = texts(bench, "operation")
+    assert text.startswith("the socket process has ended")
+    assert bench.run.gateway.state.name == "READY"
