@@ -68,17 +68,13 @@ def export(
     """
     with new_file(path, force=force, source=recording.path) as temporary:
         if file_format.has_frames:
-            written = Exported(
-                path, _write_frames(recording, temporary, file_format, selection, watch), "frames"
-            )
+            write, unit = _write_frames, "frames"
         else:
-            unit = "periods" if selection.resample_s is None else "rows"
-            written = Exported(
-                path, _write_signals(recording, temporary, file_format, selection, watch), unit
-            )
-        if written.length == 0:
-            raise RecordingError(_nothing_selected(recording, selection, written.unit))
-    return written
+            write, unit = _write_signals, "periods" if selection.resample_s is None else "rows"
+        length = write(recording, temporary, file_format, selection, watch)
+        if length == 0:
+            raise RecordingError(_nothing_selected(recording, selection, unit))
+    return Exported(path, length, unit)
 
 
 def _write_signals(
@@ -101,13 +97,13 @@ def _write_signals(
 
 def _nothing_selected(recording: Recording, selection: Selection, unit: str) -> str:
     time_s = recording.timing().time_s
-    if len(time_s) == 0 or selection.from_s is None and selection.to_s is None:
+    if len(time_s) == 0 or (selection.from_s is None and selection.to_s is None):
         return f"{recording.path}: has no {unit}, so there is nothing to export"
     begin = "the begin" if selection.from_s is None else f"{selection.from_s:g} s"
     end = "the end" if selection.to_s is None else f"{selection.to_s:g} s"
     return (
-        f"{recording.path}: has no {unit} from {begin} to {end}; its periods are from 0 to {time_s[-1]:.3f} s: "
-        "choose --from and --to within them"
+        f"{recording.path}: has no {unit} from {begin} to {end}; its periods are from 0 to "
+        f"{time_s[-1]:.3f} s; choose --from and --to within them"
     )
 
 

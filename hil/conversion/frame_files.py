@@ -35,7 +35,8 @@ def write_candump(path: Path, frames: Iterable[BusFrame], bus: str) -> int:
     name = "_".join(bus.split()) or "can0"
     count = 0
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        for count, (epoch_ns, frame, is_received) in enumerate(frames, 1):
+        for epoch_ns, frame, is_received in frames:
+            count += 1
             seconds, microseconds = divmod(round(epoch_ns / 1000), 1_000_000)
             direction = "R" if is_received else "T"
             file.write(f"({seconds}.{microseconds:06d}) {name} {candump_text(frame)} {direction}\n")
@@ -74,7 +75,7 @@ def write_asc(path: Path, frames: Iterable[BusFrame]) -> int:
 
 
 def _asc_date(epoch_ns: int) -> str:
-    moment = datetime.datetime.fromtimestamp(epoch_ns // 1_000_000_000)  # noqa: DTZ006 (local by definition)
+    moment = datetime.datetime.fromtimestamp(epoch_ns // 1_000_000_000)
     return moment.strftime(f"%a %b %d %H:%M:%S.{epoch_ns // _MILLISECOND_NS % 1000:03d} %Y")
 
 
@@ -94,7 +95,8 @@ def write_blf(path: Path, frames: Iterable[BusFrame]) -> int:
 
     count = 0
     with can.BLFWriter(path, channel=_CHANNEL) as writer:
-        for count, (epoch_ns, frame, is_received) in enumerate(frames, 1):
+        for epoch_ns, frame, is_received in frames:
+            count += 1
             writer.on_message_received(
                 can.Message(
                     timestamp=epoch_ns / 1e9,

@@ -33,8 +33,7 @@ def bus_frames(recording: Recording, selection: Selection) -> Iterator[BusFrame]
     """Yield the frames that were received and sent in the selected time.
 
     Frames of one instant, which simulated time has, keep their order in each direction. Between the
-    directions, the smaller identifier comes first, as in arbitration: SYNC, then the sample, then the command.
-    Frames that the link refused are left out.
+    directions, the smaller identifier comes first, as in arbitration: SYNC, the sample, the command. Frames that the link refused are left out.
     """
     for rows in frame_rows(recording, selection):
         columns = (rows[name].tolist() for name in rows.dtype.names or () if name != "data")
