@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.conversion.signals import Selection
+from hil.conversion.signals import Selection, parts, selected
 from hil.core.frames import Frame
 from hil.recording.reader import Recording
 from hil.recording.tables import FrameTable
@@ -33,14 +33,20 @@ def bus_frames(recording: Recording, selection: Selection) -> Iterator[BusFrame]
     """Yield the frames that were received and sent in the selected time.
 
     Frames of one instant, which simulated time has, keep their order in each direction. Between the
-    directions, the smaller identifier comes first, as in arbitration: SYNC, the sample, the command. Frames that the link refused are left out.
+    directions, the smaller identifier comes first, as in arbitration: SYNC, the sample, the command. Frames
+    that the link refused are left out.
     """
     for rows in frame_rows(recording, selection):
-        columns = (rows[name].tolist() for name in rows.dtype.names or () if name != "data")
-        for data, *values in zip(rows["data"].tolist(), *columns, strict=True):
-            epoch_ns, identifier, is_extended, is_remote, is_error, length, is_received = values
-            frame = Frame(identifier, bytes(data[:length]), is_extended, is_remote, is_error)
-            yield BusFrame(epoch_ns, frame, is_received)
+        for start in range(0, len(rows), BLOCK_FRAMES):
+            yield from _converted(rows[start : start + BLOCK_FRAMES])
+
+
+def _converted(rows: npt.NDArray[Any]) -> Iterator[BusFrame]:
+    columns = (rows[name].tolist() for name in rows.dtype.names or () if name != "data")
+    for data, *values in zip(rows["data"].tolist(), *columns, strict=True):
+        epoch_ns, identifier, is_extended, is_remote, is_error, length, is_received = values
+        frame = Frame(identifier, bytes(data[:length]), is_extended, is_remote, is_error)
+        yield BusFrame(epoch_ns, frame, is_received)
 
 
 _ROW = np.dtype(
@@ -59,24 +65,18 @@ _ROW = np.dtype(
 
 def frame_rows(recording: Recording, selection: Selection) -> Iterator[npt.NDArray[Any]]:
     """Yield the frames of :func:`bus_frames` as structured arrays."""
-    sent = _rows(recording.frames("sent"), False, recording.epoch_offset_ns, selection)
-    received = _rows(recording.frames("received"), True, recording.epoch_offset_ns, selection)
-    rows = np.concatenate((sent, received))
-    priority = np.concatenate((_largest_so_far(sent), _largest_so_far(received)))
-    rows = rows[np.lexsort((priority, rows["epoch_ns"]))]
-    for start in range(0, len(rows), BLOCK_FRAMES):
-        yield rows[start : start + BLOCK_FRAMES]
+    for part in parts(recording, selection):
+        sent = _rows(part.frames("sent"), False, recording.epoch_offset_ns, selection)
+        received = _rows(part.frames("received"), True, recording.epoch_offset_ns, selection)
+        rows = np.concatenate((sent, received))
+        priority = np.concatenate((_largest_so_far(sent), _largest_so_far(received)))
+        yield rows[np.lexsort((priority, rows["epoch_ns"]))]
 
 
 def _rows(
     table: FrameTable, is_received: bool, epoch_offset_ns: int, selection: Selection
 ) -> npt.NDArray[Any]:
-    chosen = np.ones(len(table), np.bool_)
-    if selection.from_s is not None:
-        chosen &= table.time_s >= selection.from_s
-    if selection.to_s is not None:
-        chosen &= table.time_s <= selection.to_s
-    table = table[chosen]
+    table = table[selected(table.time_s, selection)]
     rows = np.empty(len(table), _ROW)
     rows["epoch_ns"] = table.time_ns + epoch_offset_ns
     rows["is_received"] = is_received

@@ -58,7 +58,7 @@ class Selection(NamedTuple):
     from_s: float | None = None
     """Begin in seconds from the first recorded period; None for the begin of the recording."""
     to_s: float | None = None
-    """End in the same scale, which belongs to the selection; None for the end of the recording."""
+    """End in the same scale, which is not part of the selection; None for the end of the recording."""
     resample_s: float | None = None
     """Interval of the resampled time in seconds; None for the recorded instants."""
 
@@ -98,18 +98,25 @@ def signal_blocks(recording: Recording, selection: Selection) -> Iterator[Block]
 def _recorded_blocks(recording: Recording, selection: Selection) -> Iterator[Block]:
     names = chosen_axes(recording, selection)
     columns = columns_of(recording, selection)
-    tables = _same_periods([recording.axis(name) for name in names])
-    first, last = _bounds(tables[0].time_s, selection)
-    for start in range(first, last, BLOCK_ROWS):
-        rows = slice(start, min(start + BLOCK_ROWS, last))
-        yield _block([table[rows] for table in tables], columns, recording.epoch_offset_ns)
+    for part in parts(recording, selection):
+        tables = _same_periods([part.axis(name) for name in names])
+        chosen = selected(tables[0].time_s, selection)
+        yield _block([table[chosen] for table in tables], columns, recording.epoch_offset_ns)
 
 
-def _bounds(time_s: npt.NDArray[np.float64], selection: Selection) -> tuple[int, int]:
-    """Return the first selected row, and the row after the last one."""
-    first = 0 if selection.from_s is None else int(np.searchsorted(time_s, selection.from_s))
-    last = len(time_s) if selection.to_s is None else int(np.searchsorted(time_s, selection.to_s, "right"))
-    return first, last
+def parts(recording: Recording, selection: Selection) -> Iterator[Recording]:
+    """Yield the recording in consecutive ranges of time that cover the selection."""
+    yield recording
+
+
+def selected(time_s: npt.NDArray[np.float64], selection: Selection) -> npt.NDArray[np.bool_]:
+    """Return True for each row whose time is in the selection."""
+    chosen = np.ones(len(time_s), np.bool_)
+    if selection.from_s is not None:
+        chosen &= time_s >= selection.from_s
+    if selection.to_s is not None:
+        chosen &= time_s < selection.to_s
+    return chosen
 
 
 def _same_periods(tables: Sequence[AxisTable]) -> list[AxisTable]:
