@@ -19,8 +19,8 @@ Without an option: give the recorded frames and deadlines of a run to the gatewa
 that it answers with the recording: frames byte by byte, log entries, and the signals of every period.
 
 With --bus: send the recorded frames at their original instants onto a bus. --as boards sends what the boards
-sent, to test a gateway; --as gateway sends what the gateway sent, to test boards, and centres the valves at the
-end. On a bus that is not virtual the command asks first, because valves move.
+sent, to test a gateway. --as gateway sends what the gateway sent, to test boards, and centres the valves at
+the end. On a bus that is not virtual the command asks first, because valves move.
 
 With --with-controller: compute what another controller would have commanded on the recorded measurements, and
 draw it beside what was commanded.
@@ -128,8 +128,8 @@ def _verify(path: Path) -> int:
         if "imported" in recording.metadata:
             log = recording.metadata["imported"].get("file", "a bus log")
             sys.stderr.write(
-                f"refused    {path}: was imported from {log}, which has no calls of the gateway, so it cannot "
-                "be verified; --bus replays its frames onto a bus\n"
+                f"refused    {path}: was imported from {log}, which has no calls of the gateway, so it "
+                "cannot be verified; --bus replays its frames onto a bus\n"
             )
             return REFUSED
         report = verify(recording)

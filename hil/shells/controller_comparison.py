@@ -57,8 +57,8 @@ def compare(recording: Recording, name: str, controller: ControllerFile, source:
     """Run ``controller`` on the recorded setpoints and positions of the axis ``name``.
 
     ``source`` is the controller's file for errors. The controller takes over without a bump whenever the
-    recorded one did. Raises RecordingError when the axis was not controlled, or was excited by an experiment, and
-    DocumentError when the controller does not fit the axis.
+    recorded one did. Raises RecordingError when the axis was not controlled, or was excited by an experiment,
+    and DocumentError when the controller does not fit the axis.
     """
     setup = setup_of(recording)
     if name not in setup.rig.axes:
