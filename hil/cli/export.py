@@ -129,5 +129,5 @@ def _check(command: CommandParser, options: argparse.Namespace, name: str, to_s:
                 command.error(f"{option} is for signals, but {name} takes frames; leave it out")
     if options.resample is not None and options.resample < MIN_RESAMPLE_S:
         command.error(f"--resample {options.resample:g} s is under the limit {MIN_RESAMPLE_S:g} s")
-    if options.from_s is not None and to_s is not None and options.from_s > to_s:
-        command.error(f"--from {options.from_s:g} s is after --to {to_s:g} s")
+    if options.from_s is not None and to_s is not None and options.from_s >= to_s:
+        command.error(f"--from {options.from_s:g} s is not before --to {to_s:g} s")

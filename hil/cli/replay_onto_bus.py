@@ -35,9 +35,11 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
     recording = open_recording(path)
     schedule = schedule_of(recording, side, options.from_s, options.to_s)
     rig = _rig_of(recording) if side is Side.GATEWAY else None
-    if not is_virtual(options.bus) and not options.yes:
-        _confirm(options.bus, side, schedule, recording)
-    with open_link(options.bus) as link, _stop_on_signals() as stop:
+    with contextlib.ExitStack() as stack:
+        link = stack.enter_context(open_link(options.bus))
+        if not is_virtual(options.bus) and not options.yes:
+            _confirm(options.bus, side, schedule, recording)
+        stop = stack.enter_context(_stop_on_signals())
         replay = BusReplay(
             link,
             schedule,

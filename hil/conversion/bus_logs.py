@@ -6,8 +6,11 @@ reads the other formats.
 
 from __future__ import annotations
 
+import gc
 import re
 import stat
+import sys
+import traceback
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -89,7 +92,7 @@ def _candump_frames(path: Path) -> Iterator[LoggedFrame]:
             number += 1
             if not line.strip():
                 continue
-            match = _LINE.fullmatch(line.rstrip("\n"))
+            match = None if len(line) == MAX_LINE_CHARACTERS else _LINE.fullmatch(line.rstrip("\n"))
             if match is None or int(match[1]) >= _MAX_TIME_S:
                 shown = line.strip()[:60]
                 raise RecordingError(f"{path}: line {number} is not of the format of `candump -L`: {shown!r}")
@@ -132,4 +135,17 @@ def _library_frames(path: Path, kind: LogFormat) -> Iterator[LoggedFrame]:
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        _drop_reader(error)
         raise RecordingError(f"{path}: damaged, or not {kind.upper()}: {reason}") from None
+
+
+def _drop_reader(error: Exception) -> None:
+    """Free the reader that failed: asammdf prints a traceback when a file that it could not open is freed."""
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _unraisable: None
+    try:
+        traceback.clear_frames(error.__traceback__)
+        error.__traceback__ = error.__context__ = error.__cause__ = None
+        gc.collect()
+    finally:
+        sys.unraisablehook = hook

@@ -101,7 +101,8 @@ def _recorded_blocks(recording: Recording, selection: Selection) -> Iterator[Blo
     for part in parts(recording, selection):
         tables = _same_periods([part.axis(name) for name in names])
         chosen = selected(tables[0].time_s, selection)
-        yield _block([table[chosen] for table in tables], columns, recording.epoch_offset_ns)
+        if chosen.any():
+            yield _block([table[chosen] for table in tables], columns, recording.epoch_offset_ns)
 
 
 def parts(recording: Recording, selection: Selection) -> Iterator[Recording]:
@@ -154,8 +155,6 @@ def _resampled(blocks: Iterator[Block], interval_s: float) -> Iterator[Block]:
         if held:
             block = {name: np.concatenate((held[name], values)) for name, values in block.items()}
         time_s = block["time_s"]
-        if len(time_s) == 0:
-            continue
         if start_s is None:
             start_s = float(time_s[0])
         end_point = int(np.floor((time_s[-1] - start_s) / interval_s + 1e-9)) + 1
