@@ -168,10 +168,7 @@ class ControlLaw:
         self._C = numbers.C
         self._Dr, self._Dy = numbers.D
         self._L = numbers.L
-        n = len(numbers.A)
-        self._slowest = np.array(numbers.slowest).reshape(n, 1)
-        self._settled = np.array(numbers.settled).reshape(n, 2)
-        self._x = [0.0] * n
+        self._x = [0.0] * len(numbers.A)
         self._r = self._y = self._u = 0.0
 
     def initialise(self, r: float, y: float, u: float) -> None:
@@ -181,9 +178,10 @@ class ControlLaw:
         which is the integrator where the law has one. This mode is set so that the output is ``u``. A law
         without dynamics has no state; its output is then not ``u``.
         """
-        x = self._settled @ np.array([[r], [y]])
+        n = len(self._x)
+        x = np.array(self._numbers.settled).reshape(n, 2) @ np.array([[r], [y]])
         self._x = x[:, 0].tolist()
-        x = x + self._slowest * (u - self.output(r, y))
+        x = x + np.array(self._numbers.slowest).reshape(n, 1) * (u - self.output(r, y))
         self._x = x[:, 0].tolist()
 
     def match(self, r: float, y: float, u: float) -> Matching:

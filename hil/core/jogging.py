@@ -23,7 +23,7 @@ class Jogging:
     def __init__(
         self, rig: Rig, loops: AxisLoops, state: OperatingState, circumstances: Callable[[], str]
     ) -> None:
-        self._axes = rig.axes
+        self._rig = rig
         self._loops = loops
         self._state = state
         self._circumstances = circumstances
@@ -48,7 +48,7 @@ class Jogging:
             self._jog.extend(request, now_ns)
             return answer(request.axis, Reply(True, f"jog goes on: {motion}"))
         self._loops.restart()
-        self._jog = Jog(self._axes[request.axis], request, now_ns)
+        self._jog = Jog(self._rig.axes[request.axis], request, now_ns)
         begun = answer(request.axis, Reply(True, f"jog begins: {motion}"))
         return combine(self._state.enter(Trigger.START, "jog"), begun)
 
@@ -81,4 +81,4 @@ class Jogging:
             return f"the state is {state.name.lower()} ({self._circumstances()}), but must be armed"
         if self._loops.experiment is not None:
             return "an experiment is planned, which begins with the next start"
-        return limits_refusal(request, self._axes[axis]) or self._loops.position_refusal(axis)
+        return limits_refusal(request, self._rig.axes[axis]) or self._loops.position_refusal(axis)

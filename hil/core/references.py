@@ -6,7 +6,7 @@ from typing import Protocol
 
 from hil.core.rig import AxisSettings
 from hil.core.setpoint_profile import SetpointProfile, step_limits
-from hil.core.setpoints import Function, Setpoint
+from hil.core.setpoints import Constant, Function, Setpoint
 
 
 def present_step(setpoint: Function, t: float, period_s: float) -> float:
@@ -50,7 +50,7 @@ class HeldPosition:
 
     def begin(self, t: float, y: float) -> Function:
         """Return the position ``y`` as a constant."""
-        return lambda _t: y
+        return Constant(y)
 
 
 class OperatorSetpoints:

@@ -25,7 +25,7 @@ import math
 from typing import NamedTuple
 
 from hil.core.operator_settings import OperatorLimits
-from hil.core.setpoints import HOLD, Setpoint
+from hil.core.setpoints import HOLD, Constant, Function, Setpoint
 
 
 class StepLimits(NamedTuple):
@@ -72,7 +72,7 @@ class SetpointProfile:
         self._limits = limits
         self._period_s = period_s
         rest = r + braking_way(step, limits.max_change)
-        self._at = (lambda _t: rest) if setpoint.text == HOLD else setpoint.at
+        self._at: Function = Constant(rest) if setpoint.text == HOLD else setpoint.at
         self._r = r
         self._step = step
         self._origin_s = self._t = math.nan

@@ -81,7 +81,7 @@ def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
     if file is not None:
         return _from_csv(text, csv_text, file)
     if text == HOLD:
-        return Setpoint(text, lambda _t: 0.0, math.nan, math.nan)  # the loop puts its own position there
+        return Setpoint(text, Constant(0.0), math.nan, math.nan)  # the loop puts its own position there
     match = _FORM.fullmatch(text)
     if match is None:
         raise SetpointError(_unreadable(text))
@@ -143,45 +143,108 @@ def _unreadable(text: str) -> str:
     return f"setpoint {text!r} is none of {', '.join(FORMS.values())}{hint}"
 
 
-def _step(values: list[float], start: float, _span: float) -> Function:
-    size = values[0]
-    return lambda t: size if t >= start else 0.0
+class Constant(NamedTuple):
+    """A setpoint that does not change."""
+
+    value: float
+
+    def __call__(self, _t: float) -> float:
+        """Return the value."""
+        return self.value
 
 
-def _ladder(values: list[float], start: float, hold: float) -> Function:
-    last = len(values) - 1
+class Step(NamedTuple):
+    """A setpoint that is written as ``step:SIZE@TIME``."""
 
-    def at(t: float) -> float:
+    size: float
+    start: float
+
+    def __call__(self, t: float) -> float:
+        """Return r at ``t`` seconds."""
+        return self.size if t >= self.start else 0.0
+
+
+class Ladder(NamedTuple):
+    """A setpoint that is written as ``ladder:LEVEL,LEVEL,...@TIME/HOLD``."""
+
+    levels: tuple[float, ...]
+    start: float
+    hold: float
+
+    def __call__(self, t: float) -> float:
+        """Return r at ``t`` seconds."""
+        if t < self.start:
+            return 0.0
         # 1e-9 of a hold: a level begins in its own sample even if the quotient is rounded down.
-        return values[int(min((t - start) / hold + 1e-9, last))] if t >= start else 0.0
-
-    return at
+        return self.levels[int(min((t - self.start) / self.hold + 1e-9, len(self.levels) - 1))]
 
 
-def _blend(
-    profile: Callable[[float], float],
-) -> Callable[[list[float], float, float], Function]:
-    def build(values: list[float], start: float, duration: float) -> Function:
-        size = values[0]
-        return lambda t: size * profile(min(max((t - start) / duration, 0.0), 1.0))
+class Ramp(NamedTuple):
+    """A setpoint that is written as ``ramp:SIZE@TIME/DURATION``."""
 
-    return build
+    size: float
+    start: float
+    duration: float
+
+    def __call__(self, t: float) -> float:
+        """Return r at ``t`` seconds."""
+        return self.size * min(max((t - self.start) / self.duration, 0.0), 1.0)
 
 
-def _sine(values: list[float], start: float, period: float) -> Function:
-    amplitude = values[0]
-    return lambda t: amplitude * math.sin(math.tau * (t - start) / period) if t >= start else 0.0
+class MinimumJerk(NamedTuple):
+    """A setpoint that is written as ``minimum-jerk:SIZE@TIME/DURATION``."""
+
+    size: float
+    start: float
+    duration: float
+
+    def __call__(self, t: float) -> float:
+        """Return r at ``t`` seconds."""
+        x = min(max((t - self.start) / self.duration, 0.0), 1.0)
+        return self.size * (x * x * x * (10.0 - 15.0 * x + 6.0 * x * x))
+
+
+class Sine(NamedTuple):
+    """A setpoint that is written as ``sine:AMPLITUDE@TIME/PERIOD``."""
+
+    amplitude: float
+    start: float
+    period: float
+
+    def __call__(self, t: float) -> float:
+        """Return r at ``t`` seconds."""
+        if t < self.start:
+            return 0.0
+        return self.amplitude * math.sin(math.tau * (t - self.start) / self.period)
+
+
+class Table(NamedTuple):
+    """The rows of a CSV file: straight lines between the values at the times."""
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __call__(self, t: float) -> float:
+        """Return r at ``t`` seconds."""
+        times, values = self.times, self.values
+        after = bisect_right(times, t)
+        if after == 0:
+            return values[0]
+        if after == len(times):
+            return values[-1]
+        share = (t - times[after - 1]) / (times[after] - times[after - 1])
+        return values[after - 1] + share * (values[after] - values[after - 1])
 
 
 _PEAK_SPEEDS = {"ramp": 1.0, "minimum-jerk": 1.875, "sine": math.tau}
 """Largest speed of a form of size 1 whose span is 1 s. Steps and ladders only jump."""
 
 _FUNCTIONS: dict[str, Callable[[list[float], float, float], Function]] = {
-    "step": _step,
-    "ladder": _ladder,
-    "ramp": _blend(lambda x: x),
-    "minimum-jerk": _blend(lambda x: x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)),
-    "sine": _sine,
+    "step": lambda values, start, _: Step(values[0], start),
+    "ladder": lambda values, start, span: Ladder(tuple(values), start, span),
+    "ramp": lambda values, start, span: Ramp(values[0], start, span),
+    "minimum-jerk": lambda values, start, span: MinimumJerk(values[0], start, span),
+    "sine": lambda values, start, span: Sine(values[0], start, span),
 }
 
 
@@ -208,20 +271,12 @@ def _from_csv(text: str, content: str, file: str) -> Setpoint:
     if not times:
         raise SetpointError(f"{file}: no rows of time_s,setpoint")
 
-    def at(t: float) -> float:
-        after = bisect_right(times, t)
-        if after == 0:
-            return values[0]
-        if after == len(times):
-            return values[-1]
-        share = (t - times[after - 1]) / (times[after] - times[after - 1])
-        return values[after - 1] + share * (values[after] - values[after - 1])
-
     slopes = [
         abs(after - before) / (end - start)
         for (start, before), (end, after) in pairwise(zip(times, values, strict=True))
         if end > start
     ]
+    at = Table(tuple(times), tuple(values))
     return Setpoint(text, at, min(values), max(values), max(slopes, default=0.0))
 
 
