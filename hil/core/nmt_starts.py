@@ -22,6 +22,8 @@ class NmtStarts:
     def __init__(self) -> None:
         self.sent = 0
         """Number of starts since the board was last operational for ``SETTLED_NS``."""
+        self._departures = 0
+        """Number of times that the board left operational, in the same time."""
         self._last_ns = 0
         self._operational_since_ns: int | None = None
 
@@ -32,8 +34,8 @@ class NmtStarts:
 
     @property
     def are_excessive(self) -> bool:
-        """Whether the board needed so many starts that it counts as fit only when it has settled."""
-        return self.sent > IMMEDIATE_STARTS
+        """Whether the board needed many starts or left operational often, and must settle to count as fit."""
+        return self.sent > IMMEDIATE_STARTS or self._departures >= IMMEDIATE_STARTS
 
     def operational(self, now_ns: int) -> None:
         """Take a heartbeat that says operational."""
@@ -48,6 +50,7 @@ class NmtStarts:
     def should_start(self, now_ns: int) -> bool:
         """Take a heartbeat that does not say operational. Return whether to start the board now."""
         self._forget_if_settled(now_ns)
+        self._departures += self._operational_since_ns is not None
         self._operational_since_ns = None
         if self.are_ignored:
             doublings = self.sent - IMMEDIATE_STARTS
@@ -63,4 +66,4 @@ class NmtStarts:
     def _forget_if_settled(self, now_ns: int) -> None:
         since_ns = self._operational_since_ns
         if since_ns is not None and now_ns - since_ns >= SETTLED_NS:
-            self.sent = 0
+            self.sent = self._departures = 0
