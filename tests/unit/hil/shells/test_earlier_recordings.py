@@ -1,7 +1,7 @@
 """Recordings of an earlier version of the gateway verify with this one, to the byte.
 
 The files in ``tests/data`` were recorded by hil 0.2.0 before the rig file had ``[emergency_stop]``,
-``[enable]`` and ``dac.read_back``. Their keys that are missing must leave every frame and log entry as it was.
+``[enable]`` and ``dac.read_back``. Without these keys, every frame and log entry stays as it was.
 """
 
 from __future__ import annotations
