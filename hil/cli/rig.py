@@ -10,7 +10,6 @@ from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
 from hil.shells.run_setup import RIG_NAME, SHIPPED, load_setup
 
-
 EDS_NAMES = ("adc.eds", "dac.eds")
 """Electronic data sheets (CiA 306) of the potentiometer board and the valve board."""
 
@@ -38,8 +37,8 @@ def parser() -> CommandParser:
         metavar="FOLDER",
         nargs="?",
         const=".",
-        help=f"write {' and '.join(EDS_NAMES)}, which describe the boards to CANopen tools, to FOLDER (default: "
-        "the working directory); existing files are kept",
+        help=f"write {' and '.join(EDS_NAMES)}, which describe the boards to CANopen tools, to FOLDER "
+        "(default: the working directory); existing files are kept",
     )
     return command
 

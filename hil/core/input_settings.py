@@ -10,12 +10,8 @@ from typing import Annotated
 
 import msgspec
 
-from hil.core.board_watch import ADC_NODE, DAC_NODE
 from hil.core.documents import Document
-from hil.core.error_query import SDO_ANSWER
 from hil.core.errors import DocumentError
-from hil.core.foreign_frames import COMMANDS_TO_BOARDS, OWN_IDENTIFIERS
-from hil.core.wire import codec
 
 PROTECTION_BYTES = 2
 """Number of bytes at the end of a protected frame: counter and CRC."""
@@ -24,18 +20,28 @@ MAX_INPUT_TIMEOUT_S = 1.0
 MAX_STANDARD_IDENTIFIER = 0x7FF
 
 RESERVED_IDENTIFIERS = {
-    codec.EMCY_ADC: "EMCY_ADC",
-    codec.EMCY_DAC: "EMCY_DAC",
-    codec.TPDO1_ADC: "TPDO1_ADC",
-    codec.TPDO1_DAC: "TPDO1_DAC",
-    codec.HEARTBEAT_ADC: "HEARTBEAT_ADC",
-    codec.HEARTBEAT_DAC: "HEARTBEAT_DAC",
-    SDO_ANSWER + ADC_NODE: "SDO of the ADC board",
-    SDO_ANSWER + DAC_NODE: "SDO of the DAC board",
-    **OWN_IDENTIFIERS,
-    **COMMANDS_TO_BOARDS,
+    0x000: "NMT",
+    0x080: "SYNC",
+    0x090: "EMCY_ADC",
+    0x0A0: "EMCY_DAC",
+    0x190: "TPDO1_ADC",
+    0x1A0: "TPDO1_DAC",
+    0x220: "RPDO1_DAC",
+    0x320: "RPDO2 to the DAC board",
+    0x420: "RPDO3 to the DAC board",
+    0x520: "RPDO4 to the DAC board",
+    0x590: "SDO of the ADC board",
+    0x5A0: "SDO of the DAC board",
+    0x610: "SDO to the ADC board",
+    0x620: "SDO to the DAC board",
+    0x701: "HEARTBEAT_GATEWAY",
+    0x710: "HEARTBEAT_ADC",
+    0x720: "HEARTBEAT_DAC",
 }
-"""Identifiers that no input can have, and what they are."""
+"""Identifiers that no input can have, and what they are.
+
+They are written out, because the simulated boards read rig files too and share no wire code with the gateway.
+"""
 
 Bit = Annotated[int, msgspec.Meta(ge=0, le=7)]
 

@@ -34,6 +34,7 @@ from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import Output, Severity
+from hil.core.requests import JogRequest
 from hil.core.rig import Rig
 from hil.core.setpoints import parse_setpoint
 from hil.core.wire import codec
@@ -294,6 +295,52 @@ class TestEnable:
         subject.periods(1)
         subject.operate(Trigger.START)
         assert subject.state is LifeCycleState.RUNNING
+
+
+class TestJog:
+    REQUEST = JogRequest("vertical", 0.3, 0.3)
+
+    def test_without_the_switch_a_jog_is_refused(self) -> None:
+        subject = ProtectedGateway(protected_rig(ENABLE))
+        subject.bits = 0
+        subject.bring_to(LifeCycleState.ARMED)
+        reply = subject.operate(self.REQUEST).reply
+        assert reply is not None and not reply.accepted
+        assert reply.text.startswith("jog refused: enable: the contact is open: bit 1 of byte 0")
+
+    def test_a_released_switch_ends_a_jog_in_the_same_call(self) -> None:
+        subject = gateway(LifeCycleState.ARMED, ENABLE)
+        reply = subject.operate(self.REQUEST).reply
+        assert reply is not None and reply.accepted
+        subject.periods(5)
+        assert subject.transcript.commands()[-1][0] == pytest.approx(5.3, abs=0.001)
+        subject.bits = 0
+        output = subject.inputs()
+        assert commands(output) == [CENTRED]
+        assert subject.state is LifeCycleState.ARMED
+        subject.periods(20)
+        assert subject.transcript.commands()[-20:] == [CENTRED] * 20
+
+    def test_without_an_enable_table_a_jog_needs_no_switch(self) -> None:
+        subject = gateway(LifeCycleState.ARMED, EMERGENCY_STOP)
+        subject.operate(self.REQUEST)
+        subject.periods(3)
+        assert subject.state is LifeCycleState.RUNNING
+
+    def test_the_emergency_stop_is_a_fault_during_a_jog(self) -> None:
+        subject = gateway(LifeCycleState.ARMED, EMERGENCY_STOP + ENABLE)
+        subject.operate(self.REQUEST)
+        subject.periods(3)
+        subject.bits = ENABLE_BIT
+        assert commands(subject.inputs()) == [CENTRED]
+        assert subject.state is LifeCycleState.FAULT
+
+    def test_a_jog_after_the_timeout_of_the_emergency_stop_is_refused(self) -> None:
+        subject = gateway(LifeCycleState.ARMED, EMERGENCY_STOP)
+        subject.now_ns += 60_000_000
+        output = subject.operate(self.REQUEST)
+        assert subject.state is LifeCycleState.FAULT
+        assert output.reply is not None and not output.reply.accepted
 
 
 class TestReadBack:

@@ -6,15 +6,30 @@ import pytest
 from support.gateway_bench import rig_text
 from support.protected_rigs import EMERGENCY_STOP, ENABLE, protected_rig
 
+from hil.core.board_watch import ADC_NODE, DAC_NODE
+from hil.core.error_query import SDO_ANSWER, SDO_REQUEST
 from hil.core.errors import DocumentError
-from hil.core.input_settings import InputSettings
+from hil.core.foreign_frames import COMMANDS_TO_BOARDS
+from hil.core.input_settings import RESERVED_IDENTIFIERS, InputSettings
 from hil.core.rig import read_rig
+from hil.core.wire import codec
 
 
 def refusal(tables: str) -> str:
     with pytest.raises(DocumentError) as caught:
         read_rig(rig_text() + tables, "my.toml")
     return str(caught.value)
+
+
+def test_the_reserved_identifiers_are_those_of_all_other_frames() -> None:
+    named = {name: value for name, value in vars(codec).items() if f"{name}_LENGTH" in vars(codec)}
+    sdo = {base + node for base in (SDO_REQUEST, SDO_ANSWER) for node in (ADC_NODE, DAC_NODE)}
+    expected = set(named.values()) - {codec.TPDO2_ADC} | sdo | set(COMMANDS_TO_BOARDS)
+    assert set(RESERVED_IDENTIFIERS) == expected
+    for name, identifier in named.items():
+        assert RESERVED_IDENTIFIERS.get(identifier, name) == name
+    for identifier, what in COMMANDS_TO_BOARDS.items():
+        assert RESERVED_IDENTIFIERS[identifier] == what
 
 
 def test_a_rig_file_needs_no_input_and_no_read_back() -> None:
