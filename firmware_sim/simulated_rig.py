@@ -16,7 +16,8 @@ from firmware_sim.boards.adc import AdcBoard
 from firmware_sim.boards.canopen_slave import NEVER, Frames, SlaveState
 from firmware_sim.boards.codec import SYNC_ID
 from firmware_sim.boards.dac import DacBoard, Volts
-from firmware_sim.plants.plant import Plant
+from firmware_sim.boards.input_frames import Contacts
+from firmware_sim.plants.plant import EMERGENCY_STOP, ENABLE_SWITCH, HasContacts, Plant
 from hil.core.frames import Frame
 from hil.core.rig import Rig
 
@@ -36,7 +37,11 @@ class SimulatedRig:
     ) -> None:
         self.plant = plant
         self.adc = AdcBoard(
-            rig, plant.potentiometer_v, resolution_bits=resolution_bits, heartbeat_ns=heartbeat_ns
+            rig,
+            plant.potentiometer_v,
+            resolution_bits=resolution_bits,
+            heartbeat_ns=heartbeat_ns,
+            contacts=self._contacts,
         )
         self.dac = DacBoard(rig, self._drive, resolution_bits=resolution_bits, heartbeat_ns=heartbeat_ns)
         self._held_v: Sequence[float] = self.dac.valve_v
@@ -80,6 +85,11 @@ class SimulatedRig:
             # No SYNC arrives. Advance the plant now; else the next SYNC would have to simulate hours at once.
             self._advance(now_ns)
         return frames
+
+    def _contacts(self) -> Contacts:
+        plant = self.plant
+        opened = plant.open_contacts if isinstance(plant, HasContacts) else ()
+        return Contacts(EMERGENCY_STOP not in opened, ENABLE_SWITCH not in opened)
 
     def _drive(self, valve_v: Volts, now_ns: int) -> None:
         self._plant_ns = min(self._plant_ns, now_ns)
