@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -32,6 +32,9 @@ from hil.recording.handover import (
 from hil.recording.pipe import RecorderPipe
 from hil.recording.request_texts import request_text
 from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, layout_of
+
+if TYPE_CHECKING:
+    from hil.recording.direct_writer import DirectWriter
 
 __all__ = ["ARM_EVENTS", "Recorder", "RecorderReport", "RunHeader"]
 
@@ -74,18 +77,21 @@ class Recorder:
 
     Create it before the loop takes real-time rights or a processor of its own: the recorder process inherits
     them. With ``lossless``, the loop waits for the recorder process, and the same calls give the same bytes.
-    ``now_ns`` is the time on the gateway's monotonic clock in every method. Raises RecordingError when
-    ``path`` exists or cannot be created, or when the clock is outside ROS time.
+    ``now_ns`` is the time on the gateway's monotonic clock in every method. ``pipe`` replaces the recorder
+    process. Raises RecordingError when ``path`` exists or cannot be created, or when the clock is outside ROS
+    time.
     """
 
-    def __init__(self, path: Path, header: RunHeader, lossless: bool) -> None:
+    def __init__(
+        self, path: Path, header: RunHeader, lossless: bool, pipe: DirectWriter | None = None
+    ) -> None:
         if not 0 <= header.epoch_offset_ns < ROS_TIME_END_NS - _MAX_RUN_NS:
             raise RecordingError(
                 f"{path}: the clock shows {header.epoch_offset_ns // _SECOND_NS} s since 1970, but the time "
                 "stamps of a recording must lie between 1970 and January 2038: set the clock"
             )
         self._path = path
-        self._pipe = RecorderPipe(path, lossless)
+        self._pipe: RecorderPipe | DirectWriter = pipe or RecorderPipe(path, lossless)
         self._batch = _empty_block()
         self._sequence = 0
         self._now_ns = self._handed_over_ns = 0
