@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from firmware_sim.faults.kinds import AnyFault
     from firmware_sim.plants.plant import Plant
     from hil.recording.reader import Recording
+    from hil.recording.tables import AxisTable
 
 MAX_BRING_UP_PERIODS = 500
 """Periods in which the boards and their samples must become good."""
@@ -128,6 +129,16 @@ class LockstepRig:
         for _ in range(periods):
             while not self._lockstep.step(self._side):
                 pass
+
+    def run(self, duration_s: float) -> None:
+        """Advance by a time in seconds, rounded to whole periods."""
+        self.step(round(duration_s / self.rig.loop.period_s))
+
+    def axis(self, name: str) -> AxisTable:
+        """Return the signals of an axis so far, one row for each period, as ``Recording.axis`` does."""
+        from hil.lockstep_tables import axis_table
+
+        return axis_table(self.rig, self.cycles, name)
 
     def bring_up(self) -> None:
         """Advance until the boards and their samples are good. Raises HilError if they are not in time."""

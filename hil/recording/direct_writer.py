@@ -1,4 +1,4 @@
-"""Writes a recording in this process, when it is closed: for simulated time, where a slow disk does no harm."""
+"""Writes a recording in this process when it is closed: for simulated time, where no deadline waits."""
 
 from __future__ import annotations
 
