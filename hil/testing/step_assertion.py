@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.recording.tables import AxisTable
 from hil.testing.readings import Run, axis_table, control_time_s
-from hil.views.summary import SETTLING_BAND, StepResponse, axis_summary
+from hil.views.summary import MAX_INITIAL_ERROR, SETTLING_BAND, StepResponse, axis_summary
 
 
 def assert_step_response(
@@ -33,10 +33,8 @@ def assert_step_response(
     __tracebackhide__ = True
     table = axis_table(run, axis)
     readings = axis_summary(table)
-    assert isinstance(readings, StepResponse), (
-        f"{table.name}: the setpoint made no step from rest under control, so there is no step response; "
-        f"give a setpoint such as step:0.1@1 (the run had {_setpoint_range(table)})"
-    )
+    if not isinstance(readings, StepResponse):
+        raise AssertionError(f"{table.name}: there is no step response: {_why_no_step(table)}")
     problems = list(_problems(table, readings, overshoot, settling_s, steady_state_error))
     if problems:
         unit = readings.unit
@@ -86,6 +84,21 @@ def _step_time_s(table: AxisTable, readings: StepResponse) -> float:
     return float(control_time_s(table)[first])
 
 
-def _setpoint_range(table: AxisTable) -> str:
-    controlled = table.setpoint[table.running]
-    return f"setpoints from {controlled.min():g} to {controlled.max():g} {table.unit}"
+def _why_no_step(table: AxisTable) -> str:
+    """Say why the last change of the setpoint is no step from rest."""
+    setpoint, times_s = table.setpoint, control_time_s(table)
+    changes = np.flatnonzero(table.running[1:] & table.running[:-1] & (np.diff(setpoint) != 0.0)) + 1
+    if len(changes) == 0:
+        return "the setpoint did not change under control; give one such as step:0.1@1"
+    last = int(changes[-1])
+    size, error = abs(setpoint[last] - setpoint[last - 1]), abs(table.error[last - 1])
+    if error > MAX_INITIAL_ERROR * size:
+        return (
+            f"before the last step, of {size:.4g} {table.unit} at {times_s[last]:.3f} s, the axis was "
+            f"{error:.4g} {table.unit} from its setpoint, limit {100 * MAX_INITIAL_ERROR:g} % of the step: "
+            "it was not at rest. Let the step come later"
+        )
+    return (
+        f"the setpoint was not constant before and after its last change at {times_s[last]:.3f} s; give one "
+        "such as step:0.1@1, and run for longer than that"
+    )
