@@ -112,6 +112,14 @@ class FaultyRig:
         self._schedule(now_ns + round(parsed.at_s * 1e9), partial(self._begin, parsed, random))
         return self._run_agenda(now_ns)
 
+    def begun_by_time(self) -> dict[str, str]:
+        """Return the faults that have begun, by their instant in seconds; those of one instant are joined."""
+        joined: dict[str, str] = {}
+        for at_ns, text in self.begun:
+            instant = f"{at_ns * 1e-9:.4f} s"
+            joined[instant] = f"{joined[instant]} {text}" if instant in joined else text
+        return joined
+
     @property
     def next_deadline_ns(self) -> int:
         """Time of the next call of ``on_deadline``."""

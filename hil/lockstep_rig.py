@@ -187,6 +187,7 @@ class LockstepRig:
         Raises RecordingExistsError if ``path`` exists.
         """
         from hil.recording.reader import Recording
+        from hil.recording.recorder import FAULTS_BEGUN
 
         gateway = self.gateway
         ending = {
@@ -196,10 +197,9 @@ class LockstepRig:
             "lost samples": str(gateway.lost_samples),
             "error frames": str(gateway.error_frames),
         }
-        faults = {f"{number}: {text}": str(at_ns) for number, (at_ns, text) in enumerate(self.faults_begun)}
-        self._side.journal.save(
-            Path(path), self._setup, {"ending": ending} | ({"faults begun": faults} if faults else {})
-        )
+        begun = self._faulty.begun_by_time()
+        metadata = {"ending": ending} | ({FAULTS_BEGUN: begun} if begun else {})
+        self._side.journal.save(Path(path), self._setup, metadata)
         return Recording(path)
 
     def operate(self, request: Request) -> Reply:

@@ -36,12 +36,18 @@ from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, l
 if TYPE_CHECKING:
     from hil.recording.direct_writer import DirectWriter
 
-__all__ = ["ARM_EVENTS", "Recorder", "RecorderReport", "RunHeader"]
+__all__ = ["ARM_EVENTS", "FAULTS_BEGUN", "Recorder", "RecorderReport", "RunHeader"]
 
 ARM_EVENTS = "arm events"
 """Name of the metadata with the planned events of a simulated arm.
 
 The keys are the events as in ``--event``, the values are their times in seconds from the first sample.
+"""
+
+FAULTS_BEGUN = "faults begun"
+"""Name of the metadata with the faults of a simulated rig: instant to the faults that began then.
+
+Several faults of the same instant are separated by spaces.
 """
 
 BATCH_BYTES = 32 * 1024
