@@ -88,7 +88,9 @@ class FaultyRig:
         self._twins: list[tuple[AnyFault, AdcBoard | DacBoard]] = []
         self._ended: set[int] = set()
         self._last: dict[int, Frame] = {}
-        """Last frame on the bus by identifier, which foreign nodes copy."""
+        """Last frame on the bus by identifier."""
+        self._copied: dict[int, Frame] = {}
+        """Frame that a foreign node repeats, by the identity of its fault."""
         self._last_of_board: dict[str, Frame] = {}
         self._has_sampled = self._is_running = False
         centre_v = [5.0, 5.0, 5.0]
@@ -139,6 +141,7 @@ class FaultyRig:
         frames: Frames = ()
         if self._agenda and self._agenda[0][0] < now_ns:
             frames = self._run_agenda(now_ns)
+        self._last[frame.id] = frame
         if not (self._waiting or self._changers or self._silences or self._twins):
             self._note_command(frame)
             answers = self.boards.receive(frame, now_ns)
@@ -189,7 +192,6 @@ class FaultyRig:
         """Let the active faults change a frame. Returns what arrives now; the rest is on the agenda."""
         if self._silences:
             return ()
-        self._last[frame.id] = frame
         arrivals = [(frame, 0)]
         for _, changer in self._changers:
             if changer.identifier == frame.id:
@@ -221,7 +223,6 @@ class FaultyRig:
 
     def _note_command(self, frame: Frame) -> None:
         if frame.id == _COMMAND_ID and not self._is_running:
-            self._last[frame.id] = frame
             offsets = zip(counts_of(frame), self._centre_counts, strict=True)
             self._is_running = any(abs(counts - centre) > 1 for counts, centre in offsets)
 
@@ -350,9 +351,10 @@ class FaultyRig:
                 frame = self._last_of_board.get(name)
                 return () if frame is None else self._to_gateway((frame,), now_ns)
             case Foreign(frame=name):
-                copied = self._last.get(FRAME_IDS[name])
-                if copied is None:
+                identifier = FRAME_IDS[name]
+                if identifier not in self._last:
                     return ()
+                copied = self._copied.setdefault(id(fault), self._last[identifier])
                 if name in ("sample", "command") and counter_of(copied) is not None:
                     copied = Frame(copied.id, encode_values(counts_of(copied), counter))
                 return self._from_stranger(copied, now_ns)

@@ -135,7 +135,8 @@ class Miscount(FrameFault, frozen=True, tag="miscount"):
 class Foreign(FrameFault, frozen=True, tag="foreign"):
     """A node that is no part of the rig sends this frame every ``interval_s`` seconds.
 
-    The frame is a copy of the last one on the bus. An analogue PDO has its own counter and a correct CRC.
+    It is a copy of the last one on the bus when the fault begins. An analogue PDO has its own counter and a
+    correct CRC.
     """
 
     interval_s: Interval

@@ -263,7 +263,7 @@ def test_a_daemon_is_ready_without_the_slow_libraries(
 
 
 def test_pytest_starts_with_the_plugin_without_slow_libraries() -> None:
-    """The plugin and its three parts are imported in every pytest session, wherever the package is installed."""
+    """The plugin and its three parts are imported in every pytest session where the package is installed."""
     parts = [f"hil.testing.{name}" for name in ("plugin", "fixtures", "evidence", "vcan_session")]
     program = f"import sys, pytest, {', '.join(parts)}\nprint(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
