@@ -159,9 +159,9 @@ class VcanSession:
         options = ["--rootdir", str(config.rootpath)]
         if config.inipath is not None:
             options += ["-c", str(config.inipath)]
-        if config.pluginmanager.hasplugin("xdist"):
+        if hasattr(config.option, "numprocesses"):  # pytest-xdist
             options += ["-n", "0"]
-        if config.pluginmanager.hasplugin("pytest_cov"):
+        if hasattr(config.option, "no_cov"):  # pytest-cov
             options += ["--no-cov"]
         is_safe = str(config.invocation_params.dir) not in sys.path and "" not in sys.path
         pytest_command = [sys.executable, *(["-P"] if is_safe else []), "-m", "pytest"]
