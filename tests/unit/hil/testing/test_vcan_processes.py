@@ -35,23 +35,14 @@ def test_the_default_rig_file_tolerates_a_machine_that_stalls() -> None:
     assert rig.adc.heartbeat_timeout_s == 2.016
 
 
-def test_a_run_of_both_processes_is_recorded(bus: str, gateway: VcanGateway, tmp_path: Path) -> None:
-    with VcanBoards(bus, tmp_path, None, ["--linear"]) as boards:
-        run = VcanRig(boards, gateway).run(0.5)
-        assert run.metadata["ending"]["reason"] == "completed"
-        assert run.metadata["setpoints"]["vertical"] == "step:0.05@0.2"
-        with pytest.raises(HilError, match="the gateway of this test was started already"):
-            gateway.start()
-    assert boards.process.returncode is not None
-    assert "recording" in gateway.output()
-
-
 def test_a_gateway_is_stopped_as_by_ctrl_c_and_a_failed_test_keeps_its_recording(
     bus: str, gateway: VcanGateway, tmp_path: Path
 ) -> None:
-    with VcanBoards(bus, tmp_path, None, ["--linear"]):
+    with VcanBoards(bus, tmp_path, None, ["--linear"]) as boards:
         process = gateway.start()
         assert gateway.was_started
+        with pytest.raises(HilError, match="the gateway of this test was started already"):
+            gateway.start()
         while b"running" not in gateway._output_path.read_bytes():
             assert process.poll() is None, gateway.output()
         folder = tmp_path / "kept"
@@ -59,7 +50,10 @@ def test_a_gateway_is_stopped_as_by_ctrl_c_and_a_failed_test_keeps_its_recording
         lines = _keep_gateway(gateway, folder)
     assert [line.split()[0] for line in lines] == ["recording", "plot", "log"]
     assert {path.name for path in folder.iterdir()} == {"run.mcap", "run.png", "run.log"}
-    assert gateway.recording().metadata["ending"]["reason"] == "interrupted"
+    run = gateway.recording()
+    assert run.metadata["ending"]["reason"] == "interrupted"
+    assert run.metadata["setpoints"]["vertical"] == "step:0.05@0.2"
+    assert boards.process.returncode == 0
 
 
 def test_a_gateway_that_was_not_started_keeps_nothing(gateway: VcanGateway, tmp_path: Path) -> None:
