@@ -102,10 +102,10 @@ def main(argv: list[str]) -> int:
     bus = chosen_bus(options, setup)
     if bus == SIMULATED:
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
-    elif scenario is not None and scenario.events:
+    elif scenario is not None and (scenario.events or scenario.faults):
         sys.stderr.write(
-            f"hil run: with --bus {bus}, the events of the scenario do not happen; `firmware-sim "
-            "--scenario` simulates them\n"
+            f"hil run: with --bus {bus}, the events and faults of the scenario do not happen; "
+            "`firmware-sim --scenario` simulates them\n"
         )
     duration_s = options.duration or (scenario.duration_s if scenario else DEFAULT_DURATION_S)
     plan = RunPlan(duration_s, setup.rig.loop.period_s)
