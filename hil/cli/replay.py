@@ -51,6 +51,11 @@ def parser() -> CommandParser:
     onto_bus.add_argument(
         "--fresh", action="store_true", help="as boards: give the samples new counters and CRCs"
     )
+    onto_bus.add_argument(
+        "--answer-sync",
+        action="store_true",
+        help="as boards: send each sample in answer to a SYNC on the bus, as a board does, with new counters",
+    )
     onto_bus.add_argument("--yes", action="store_true", help="do not ask before sending to a real bus")
     other = command.add_argument_group("another controller")
     other.add_argument(
@@ -92,6 +97,7 @@ def _check(command: CommandParser, options: argparse.Namespace) -> None:
         "--to": options.to_s is not None,
         "--loop": options.loop,
         "--fresh": options.fresh,
+        "--answer-sync": options.answer_sync,
         "--yes": options.yes,
     }
     if options.bus is None:
@@ -106,8 +112,11 @@ def _check(command: CommandParser, options: argparse.Namespace) -> None:
                 command.error(f"{option} is for the plot of --with-controller AXIS=FILE; leave it out")
     if (options.bus is not None or options.with_controller) and len(options.recording) > 1:
         command.error(f"{len(options.recording)} recordings are given; replay them one by one")
-    if options.fresh and options.side == "gateway":
-        command.error("--fresh is for --as boards: a changed command would not be the recorded one")
+    if options.side == "gateway":
+        if options.fresh:
+            command.error("--fresh is for --as boards: a changed command would not be the recorded one")
+        if options.answer_sync:
+            command.error("--answer-sync is for --as boards: only a board answers SYNC")
     if options.from_s is not None and options.to_s is not None and not options.from_s < options.to_s:
         command.error(f"--from {options.from_s:g} s is not before --to {options.to_s:g} s")
 

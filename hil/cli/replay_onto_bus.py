@@ -33,7 +33,7 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
         )
     side = Side(options.side or Side.BOARDS)
     recording = open_recording(path)
-    schedule = schedule_of(recording, side, options.from_s, options.to_s)
+    schedule = schedule_of(recording, side, options.from_s, options.to_s, answer_sync=options.answer_sync)
     rig = _rig_of(recording) if side is Side.GATEWAY else None
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(open_link(options.bus))
@@ -44,7 +44,7 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
             link,
             schedule,
             speed=options.speed or 1.0,
-            change=fresh_samples() if options.fresh else lambda frame: frame,
+            change=fresh_samples() if options.fresh or options.answer_sync else lambda frame: frame,
             watch=_shown_progress if sys.stderr.isatty() else lambda _time_s, _worst_ms: None,
         )
         failure: LinkError | None = None
@@ -97,7 +97,8 @@ def _confirm(bus: str, side: Side, schedule: Schedule, recording: Recording) -> 
     )
     if not sys.stdin.isatty():
         raise HilError(f"{danger}; nobody can be asked without a terminal: confirm it with --yes")
-    sys.stderr.write(f"{danger}.\n{len(schedule)} frames, {schedule.due_ns[-1] * 1e-9:.1f} s. Go on? [y/N] ")
+    frames, duration_s = len(schedule) + len(schedule.answers), schedule.due_ns[-1] * 1e-9
+    sys.stderr.write(f"{danger}.\n{frames} frames, {duration_s:.1f} s. Go on? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
         raise HilError("not confirmed; nothing was sent")
@@ -128,6 +129,8 @@ def _report(bus: str, side: Side, schedule: Schedule, replay: BusReplay, rights:
     end = "\n" if sys.stderr.isatty() else ""
     sys.stderr.write(end)
     lines = [f"replayed   {replay.sent} frames of the {side} onto {bus}; others sent {replay.received}"]
+    if schedule.answers:
+        lines.append(f"answered   {replay.answered} SYNCs with samples")
     if replay.refused:
         lines.append(
             f"refused    {replay.refused} frames: the queue of the bus was full; try a lower --speed"

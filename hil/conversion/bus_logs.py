@@ -13,14 +13,18 @@ import sys
 import traceback
 from collections.abc import Iterator
 from enum import StrEnum
+from importlib import reload
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from hil.conversion.frame_files import ERROR_FLAG
 from hil.conversion.optional import optional_module
-from hil.core.errors import RecordingError
+from hil.core.errors import EnvironmentLackError, RecordingError
 from hil.core.frames import Frame
 from hil.links.messages import MAX_EXTENDED_ID, MAX_STANDARD_ID, frame_of
+
+if TYPE_CHECKING:
+    import can
 
 MAX_LINE_CHARACTERS = 1000
 """Longest line of a candump log. A frame has 60 characters."""
@@ -116,14 +120,12 @@ def _candump_frame(identifier_text: str, data_text: str) -> Frame | None:
 def _library_frames(path: Path, kind: LogFormat) -> Iterator[LoggedFrame]:
     import can
 
-    if kind is LogFormat.MF4:
-        optional_module("asammdf", "mf4", "reading MF4")
     try:
         # The readers raise errors of many types for a damaged file.
         if kind is LogFormat.ASC:
             reader: can.io.generic.MessageReader = can.ASCReader(path, relative_timestamp=False)
         else:
-            reader = can.BLFReader(path) if kind is LogFormat.BLF else can.MF4Reader(path)
+            reader = can.BLFReader(path) if kind is LogFormat.BLF else _mf4_reader(path)
         with reader:
             for message in reader:
                 frame = frame_of(message)
@@ -131,12 +133,23 @@ def _library_frames(path: Path, kind: LogFormat) -> Iterator[LoggedFrame]:
                     raise ValueError(f"time stamp {message.timestamp} s")
                 channel = "" if message.channel is None else str(message.channel)
                 yield LoggedFrame(round(message.timestamp * 1e9), channel, frame)
-    except (GeneratorExit, RecordingError, MemoryError):
+    except (GeneratorExit, EnvironmentLackError, MemoryError):
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         _drop_reader(error)
         raise RecordingError(f"{path}: damaged, or not {kind.upper()}: {reason}") from None
+
+
+def _mf4_reader(path: Path) -> can.io.generic.MessageReader:
+    """Open an MF4 file. Raises EnvironmentLackError without asammdf."""
+    from can.io import mf4
+
+    optional_module("asammdf", "mf4", "reading MF4")
+    # asammdf imports python-can, which then finds asammdf half imported and takes it for missing.
+    if getattr(mf4, "asammdf", None) is None:
+        reload(mf4)
+    return mf4.MF4Reader(path)
 
 
 def _drop_reader(error: Exception) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from enum import StrEnum
 from time import monotonic_ns
 from typing import NamedTuple, Protocol
@@ -24,6 +24,7 @@ from hil.core.rig import Rig
 from hil.core.valve_commands import ValveCommands
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
+from hil.links.link import Received
 from hil.recording.reader import Recording
 from hil.recording.tables import FrameTable
 from hil.shells.run_plan import CENTRING_PERIODS, StopRequest
@@ -49,13 +50,22 @@ class Side(StrEnum):
 class Schedule:
     """Frames and the instants at which they are due, in ns from the begin of the replay."""
 
-    def __init__(self, table: FrameTable, first: list[Frame], left_out: int, begin_ns: int) -> None:
-        """``first`` are sent at the begin; ``begin_ns`` is the instant of the recording that is the begin."""
+    def __init__(
+        self,
+        table: FrameTable,
+        begin_ns: int,
+        first: Sequence[Frame] = (),
+        answers: Sequence[Frame] = (),
+        left_out: int = 0,
+    ) -> None:
+        """``begin_ns`` is the instant of the recording at which the replay begins."""
         self.due_ns: npt.NDArray[np.int64] = table.time_ns - begin_ns
         self.left_out = left_out
         """Number of recorded frames that are not sent: error frames, and commands of other masters."""
         self.first = first
         """Frames that are sent before all others: the start of boards that were started earlier."""
+        self.answers = answers
+        """Samples that are sent in answer to SYNC, one for each, instead of at their instants."""
         self._table = table
 
     def __len__(self) -> int:
@@ -63,13 +73,8 @@ class Schedule:
 
     def frames(self) -> Iterator[tuple[int, Frame]]:
         """Yield each frame with the instant at which it is due."""
-        table = self._table
-        for row, due_ns in enumerate(self.due_ns.tolist()):
-            data = table.data[row, : table.length[row]].tobytes()
-            yield (
-                due_ns,
-                Frame(int(table.id[row]), data, bool(table.is_extended[row]), bool(table.is_remote[row])),
-            )
+        for row, frame in _frames(self._table):
+            yield int(self.due_ns[row]), frame
 
     @property
     def loop_ns(self) -> int:
@@ -81,13 +86,19 @@ class Schedule:
 
 
 def schedule_of(
-    recording: Recording, side: Side, from_s: float | None = None, to_s: float | None = None
+    recording: Recording,
+    side: Side,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    *,
+    answer_sync: bool = False,
 ) -> Schedule:
     """Return the frames that one side sent from ``from_s`` to ``to_s``, in seconds from the first period.
 
     The boards' side leaves out what only a gateway may send, so that it cannot move a valve. The gateway's
     side begins with the NMT commands from before ``from_s``, because the boards act only when operational.
-    Raises RecordingError when there is no frame.
+    With ``answer_sync``, the samples of the boards' side wait for SYNC. Raises RecordingError when there is
+    no frame with an instant of its own.
     """
     table = recording.frames("received" if side is Side.BOARDS else "sent")
     sendable = ~table.is_error
@@ -98,6 +109,9 @@ def schedule_of(
     chosen = ~before if to_s is None else ~before & (table.time_s < to_s)
     left_out = int(np.count_nonzero(chosen & ~sendable))
     chosen &= sendable
+    is_sample = (table.id == codec.TPDO1_ADC) & ~table.is_extended & ~table.is_remote
+    answers = chosen & is_sample & (answer_sync and side is Side.BOARDS)
+    chosen &= ~answers
     if not chosen.any():
         raise RecordingError(
             f"{recording.path}: has no frame of the {side} to send"
@@ -108,13 +122,20 @@ def schedule_of(
     begin_ns = int(table.time_ns[chosen][0])
     if from_s is not None:
         begin_ns = min(begin_ns, recording.start_ns + round(from_s * 1e9))
-    return Schedule(table[chosen], first, left_out, begin_ns)
+    return Schedule(table[chosen], begin_ns, first, [data for _, data in _frames(table[answers])], left_out)
+
+
+def _frames(table: FrameTable) -> Iterator[tuple[int, Frame]]:
+    """Yield the frames of a table with their row numbers."""
+    for row in range(len(table)):
+        data = table.data[row, : table.length[row]].tobytes()
+        yield row, Frame(int(table.id[row]), data, bool(table.is_extended[row]), bool(table.is_remote[row]))
 
 
 def _nmt_commands(table: FrameTable) -> list[Frame]:
     """Return each NMT command once, in the order of the last time that it was sent."""
-    rows = {table.data[row, : table.length[row]].tobytes(): row for row in range(len(table))}
-    return [Frame(codec.NMT, data) for data, _ in sorted(rows.items(), key=lambda item: item[1])]
+    rows = {frame: row for row, frame in _frames(table)}
+    return sorted(rows, key=rows.__getitem__)
 
 
 def fresh_samples() -> Callable[[Frame], Frame]:
@@ -138,7 +159,7 @@ class Bus(Protocol):
     def send(self, frame: Frame) -> bool:
         """Hand over a frame; False if a full queue refuses it."""
 
-    def receive(self, timeout_s: float) -> object | None:
+    def receive(self, timeout_s: float) -> Received | None:
         """Return the next frame of another node, or None after the timeout."""
 
 
@@ -176,11 +197,14 @@ class BusReplay:
         self._clock_ns = clock_ns
         self._watch = watch
         self._polling_ns = MIN_POLLING_NS
+        self._answers = iter(schedule.answers)
         self._late_ns = array("q")
         self._watched = 0
         self._watched_ns = 0
-        self.sent = self.refused = self.received = 0
-        """Number of frames that were sent, that a full queue refused, and that other nodes sent meanwhile."""
+        self.sent = self.refused = self.received = self.answered = 0
+        """Number of frames that were sent, that a full queue refused, that other nodes sent meanwhile, and of
+        SYNCs that were answered.
+        """
         self.last_counter: int | None = None
         """Counter in the last valve command that was sent; None without one."""
 
@@ -208,6 +232,7 @@ class BusReplay:
             if not endless:
                 return True
             begin_ns += round_ns
+            self._answers = iter(self._schedule.answers)
 
     def timing_error(self) -> TimingError:
         """Return the timing error of all frames that were due."""
@@ -250,13 +275,24 @@ class BusReplay:
             if wait_ns <= 0:
                 break
             target_ns = self._clock_ns() + min(wait_ns, MAX_WAIT_NS)
-            if self._bus.receive(min(wait_ns, MAX_WAIT_NS) * 1e-9) is not None:
-                self.received += 1
+            received = self._bus.receive(min(wait_ns, MAX_WAIT_NS) * 1e-9)
+            if received is not None:
+                self._take(received.frame)
             else:
                 self._adapt_polling(self._clock_ns() - target_ns)
         while self._clock_ns() < at_ns:
             pass
         return True
+
+    def _take(self, frame: Frame) -> None:
+        """Count a frame of another node, and answer it if it is a SYNC and samples wait for one."""
+        self.received += 1
+        if frame.id != codec.SYNC or frame.is_extended or frame.is_remote or frame.is_error:
+            return
+        sample = next(self._answers, None)
+        if sample is not None:
+            self.answered += 1
+            self._send(self._change(sample))
 
     def _adapt_polling(self, overslept_ns: int) -> None:
         """Poll for longer at once after a late wake-up, and for less again little by little."""

@@ -102,10 +102,20 @@ def _controlled(recording: Recording, name: str) -> tuple[AxisTable, list[int], 
         table = table[np.isin(table.time_ns, common)]
         timing = timing[np.isin(timing.wake_ns, common)]
     stretches = np.cumsum(np.diff(table.running, prepend=False))
-    chosen = table.running & table.fresh & np.isfinite(table.output_v)
+    chosen = table.running & table.fresh & np.isfinite(table.output_v) & ~_jogged(table, stretches)
     if not chosen.any():
         raise RecordingError(f"{recording.path}: no controller acted in this recording; nothing to compare")
     return table[chosen], timing.receive_ns[chosen].tolist(), stretches[chosen].tolist()
+
+
+def _jogged(table: AxisTable, stretches: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Return True for the periods in which an operator jogged the axis: its valve moved without an error."""
+    stretch_count = int(stretches[-1]) + 1 if len(stretches) else 0
+    has_error = np.zeros(stretch_count, np.bool_)
+    has_error[stretches[table.error != 0.0]] = True
+    has_output = np.zeros(stretch_count, np.bool_)
+    has_output[stretches[table.output_v != 0.0]] = True
+    return np.asarray(~has_error[stretches] & has_output[stretches])
 
 
 def _commands(

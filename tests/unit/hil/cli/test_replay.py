@@ -195,6 +195,7 @@ class TestConfirmation:
         (["--bus", BUS, "--speed", "0"], "0 is not from 0.01 to 100"),
         (["--bus", BUS, "--speed", "fast"], "'fast' is not a number"),
         (["--bus", BUS, "--as", "gateway", "--fresh"], "--fresh is for --as boards"),
+        (["--bus", BUS, "--as", "gateway", "--answer-sync"], "--answer-sync is for --as boards"),
         (["--bus", BUS, "--from", "2", "--to", "1"], "--from 2 s is not before --to 1 s"),
         (["--bus", BUS, "--from", "90"], "has no frame of the boards to send in this range"),
         (["--bus", "sim"], "start `firmware-sim --bus udp:43113`"),

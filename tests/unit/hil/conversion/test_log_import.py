@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -15,7 +16,7 @@ from support.recorded_runs import in_memory
 from hil.conversion.export import Format, export
 from hil.conversion.log_import import Document, Imported, import_log
 from hil.conversion.signals import Selection
-from hil.core.errors import DocumentError, RecordingError, RecordingExistsError
+from hil.core.errors import DocumentError, EnvironmentLackError, RecordingError, RecordingExistsError
 from hil.core.wire import codec
 from hil.recording import open_recording
 from hil.recording.reader import Recording
@@ -230,3 +231,46 @@ def test_imported_valve_commands_count_as_sent(tmp_path: Path) -> None:
     assert back.axis("vertical").command_v.tolist() == [7.5]
     assert back.axis("vertical").output_v.tolist() == [2.5]
     assert back.axis("vertical").running.tolist() == [True]
+
+
+def test_mf4_is_read_also_when_python_can_was_imported_without_asammdf(
+    run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """asammdf imports python-can, which then finds asammdf half imported."""
+    log = tmp_path / "run.mf4"
+    export(run, log, Format.MF4_BUS, Selection())
+    monkeypatch.setattr("can.io.mf4.asammdf", None)
+    assert imported(log)[0].received == len(run.frames("received"))
+
+
+def test_mf4_without_asammdf_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = tmp_path / "run.mf4"
+    log.write_bytes(b"MDF     4.10    " + bytes(100))
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    with pytest.raises(EnvironmentLackError, match=r"pip install 'pneumatic-hil\[mf4\]'"):
+        imported(log)
+
+
+def test_an_import_that_fails_half_way_leaves_no_file(
+    run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "run.log"
+    export(run, log, Format.CANDUMP, Selection())
+
+    def interrupt(share: float) -> None:
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("hil.conversion.log_import.WATCH_FRAMES", 50)
+    with pytest.raises(KeyboardInterrupt):
+        import_log(log, tmp_path / "back.mcap", RIG, DBC, watch=interrupt)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.log"]
+
+
+def test_a_full_disk_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("(1.0) can0 080#\n")
+    monkeypatch.setattr("support.recorded_runs._WriterPipe.failure", "No space left on device")
+    with pytest.raises(RecordingError, match=r"back\.mcap: cannot be written: No space left on device"):
+        import_log(log, tmp_path / "back.mcap", RIG, DBC)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.log"]

@@ -170,3 +170,30 @@ def test_progress_is_reported_in_seconds(run: Recording, tmp_path: Path) -> None
     reported: list[float] = []
     export(run, tmp_path / "out.csv", Format.CSV, Selection(), watch=reported.append)
     assert reported[-1] == pytest.approx(run.axis("vertical").time_s[-1])
+
+
+def test_periods_that_an_axis_lacks_are_left_out(run: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages that were dropped while recording may belong to one axis alone."""
+    whole = Recording.axis
+    monkeypatch.setattr(
+        Recording,
+        "axis",
+        lambda recording, name: whole(recording, name)[3 if name == "rotation" else 0 :],
+    )
+    (block,) = signal_blocks(run, WHOLE)
+    assert np.array_equal(block["time_s"], whole(run, "vertical").time_s[3:])
+    assert np.array_equal(block["vertical.position_m"], whole(run, "vertical").position[3:])
+
+
+def test_resampling_goes_on_over_the_borders_of_blocks(
+    run: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    selection = Selection(("vertical",), resample_s=0.01)
+    (at_once,) = signal_blocks(run, selection)
+    pieces = [run.axis("vertical")[start : start + 7] for start in range(0, len(run.axis("vertical")), 7)]
+    monkeypatch.setattr("hil.conversion.signals.parts", lambda *_: pieces)
+    monkeypatch.setattr(type(pieces[0]), "axis", lambda table, _name: table, raising=False)
+    blocks = list(signal_blocks(run, selection))
+    assert len(blocks) > 20
+    for name, values in at_once.items():
+        assert np.array_equal(np.concatenate([block[name] for block in blocks]), values), name

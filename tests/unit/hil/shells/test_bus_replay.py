@@ -14,6 +14,7 @@ from hil.core.errors import LinkError, RecordingError
 from hil.core.frames import Frame
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
+from hil.links.link import Received
 from hil.recording import open_recording
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
@@ -58,10 +59,10 @@ class Bench:
             self.sent.append((self.now_ns, frame))
         return not self.full
 
-    def receive(self, timeout_s: float) -> Frame | None:
+    def receive(self, timeout_s: float) -> Received | None:
         self.waits_s.append(timeout_s)
         if self.arriving:
-            return self.arriving.pop()
+            return Received(self.arriving.pop(), 0, "user")
         self.now_ns += round(timeout_s * 1e9) + OVERSLEEP_NS
         return None
 
@@ -195,7 +196,7 @@ def test_a_request_to_stop_is_seen_during_a_long_wait(recording: Recording, benc
     stop = StopRequest()
     receive = bench.receive
 
-    def stopping(timeout_s: float) -> Frame | None:
+    def stopping(timeout_s: float) -> Received | None:
         if bench.sent[-1][1].id == codec.SYNC and len(bench.sent) == 5:
             stop.set()
         return receive(timeout_s)
@@ -222,6 +223,19 @@ def test_frames_that_a_full_queue_refuses_are_counted(recording: Recording, benc
     replay = BusReplay(bench, schedule_of(recording, Side.GATEWAY), clock_ns=bench.clock_ns)
     assert replay.run(StopRequest())
     assert (replay.sent, replay.refused, replay.last_counter) == (0, 6, None)
+
+
+def test_samples_answer_each_sync_with_new_counters(recording: Recording, bench: Bench) -> None:
+    schedule = schedule_of(recording, Side.BOARDS, answer_sync=True)
+    assert [frame.data[6] for frame in schedule.answers] == [7, 8]
+    syncs = [Frame(codec.SYNC), Frame(codec.SYNC), Frame(codec.SYNC)]
+    bench.arriving = [*syncs, Frame(codec.SYNC, b"", True), Frame(codec.SYNC, b"", False, True), Frame(0x81)]
+    replay = BusReplay(bench, schedule, change=fresh_samples(), clock_ns=bench.clock_ns)
+    assert replay.run(StopRequest())
+    samples = [frame for _, frame in bench.sent if frame.id == codec.TPDO1_ADC]
+    assert [frame.data[6] for frame in samples] == [0, 1], "one for each SYNC, while there are samples"
+    assert (replay.answered, replay.received, replay.sent) == (2, 6, 4)
+    assert [frame.id for _, frame in bench.sent if frame not in samples] == [0x12345678, 0x710]
 
 
 class TestCentring:

@@ -6,13 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.recorded_runs import CENTRED, RUN_HEADER, in_memory, record_periods
 
 from hil.cli import main
 from hil.core.controller_file import ControllerFile, TransferFunctionLaw
 from hil.core.errors import DocumentError, RecordingError
+from hil.core.life_cycle import LifeCycleState
 from hil.lockstep_rig import run_experiment
 from hil.recording.reader import Recording
-from hil.shells.controller_comparison import compare
+from hil.recording.recorder import Recorder
+from hil.shells.controller_comparison import _controlled, compare
 from hil.shells.run_setup import load_controller
 
 
@@ -74,6 +77,23 @@ def test_a_controller_that_does_not_fit_is_refused(
 ) -> None:
     with pytest.raises((DocumentError, RecordingError), match=message):
         compare(run, axis, gain(1.0, **changes), "gain.json")
+
+
+def test_a_jog_of_the_operator_is_left_out(tmp_path: Path) -> None:
+    """In a jog the valve moves although setpoint and position are equal; no controller acts."""
+    path = tmp_path / "jog.mcap"
+    jog = CENTRED._replace(output_v=1.0, command_v=6.0)
+    controlled = CENTRED._replace(setpoint=0.1, error=0.1, output_v=1.1, command_v=6.1)
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(recorder, 5, lambda t: CENTRED, state=LifeCycleState.ARMED)
+    record_periods(recorder, 20, lambda t: jog, first=5)
+    record_periods(recorder, 5, lambda t: CENTRED, first=25, state=LifeCycleState.ARMED)
+    record_periods(recorder, 30, lambda t: controlled, first=30)
+    recorder.close({})
+    table, received_ns, stretches = _controlled(Recording(path), "vertical")
+    assert len(table) == len(received_ns) == len(stretches) == 30
+    assert table.error.tolist() == [0.1] * 30
 
 
 def test_an_excited_axis_is_refused_and_another_is_compared(
