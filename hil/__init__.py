@@ -4,6 +4,7 @@ The names below are the public API. Each is imported when it is first used, so t
 
 =====================  ======================================================================================
 ``open_recording``     open the recording of a run; :class:`Recording` has signals, frames, log and documents
+``connect``            operate a running daemon; :class:`Client`
 ``run_experiment``     run the controllers against the simulated arm in simulated time, and record the run
 ``LockstepRig``        the gateway and the simulated boards in one process, stepped period by period
 ``load_rig``           read a rig file; :class:`Rig`
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from hil.core.rig import Rig
     from hil.links import open_link
     from hil.lockstep_rig import LockstepRig, run_experiment
+    from hil.operation.client import Client, connect
     from hil.recording import open_recording
     from hil.recording.reader import Recording
     from hil.shells.run_setup import load_controller, load_rig
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 _HOMES = {
+    "Client": "hil.operation.client",
     "ControlLaw": "hil.core.control_law",
     "ControllerFile": "hil.core.controller_file",
     "Frame": "hil.core.frames",
@@ -54,6 +57,7 @@ _HOMES = {
     "LockstepRig": "hil.lockstep_rig",
     "Recording": "hil.recording.reader",
     "Rig": "hil.core.rig",
+    "connect": "hil.operation.client",
     "load_controller": "hil.shells.run_setup",
     "load_rig": "hil.shells.run_setup",
     "open_link": "hil.links",
@@ -63,6 +67,7 @@ _HOMES = {
 """Module of each public name."""
 
 __all__ = [
+    "Client",
     "ControlLaw",
     "ControllerFile",
     "Frame",
@@ -71,6 +76,7 @@ __all__ = [
     "LockstepRig",
     "Recording",
     "Rig",
+    "connect",
     "load_controller",
     "load_rig",
     "open_link",

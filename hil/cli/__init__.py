@@ -13,8 +13,7 @@ from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from types import ModuleType
-from typing import TextIO
+from typing import Any, TextIO
 
 from hil import __version__
 from hil.core.errors import HilError
@@ -30,8 +29,41 @@ COMMANDS = {
     "vcan": ("hil.cli.vcan", "run a command where the CAN interface vcan0 exists"),
     "doctor": ("hil.cli.doctor", "check what this machine offers a control loop, and what to improve"),
     "completion": ("hil.cli.completion", "print a completion script for bash, zsh or fish"),
+    "daemon": ("hil.cli.daemon", "run until stopped, and take the requests below"),
+    "status": ("hil.cli.status", "show what the daemon does, once or live"),
+    "arm": ("hil.cli.operate:ARM", "allow motion: ready -> armed"),
+    "disarm": ("hil.cli.operate:DISARM", "forbid motion: armed -> ready"),
+    "start": ("hil.cli.operate:START", "begin to control: armed -> running"),
+    "stop": ("hil.cli.operate:STOP", "stop the controllers, centre the valves: running -> armed"),
+    "reset": ("hil.cli.operate:RESET", "leave state fault, after its cause is removed"),
+    "setpoint": ("hil.cli.operate:SETPOINT", "change the setpoints of axes"),
+    "controller": ("hil.cli.operate:CONTROLLER", "change the controllers of axes"),
+    "jog": ("hil.cli.operate:JOG", "move one axis by hand for a short time"),
+    "event": ("hil.cli.operate:EVENT", "let something happen to the simulated arm"),
+    "record": ("hil.cli.operate:RECORD", "begin another recording, or go on without one"),
+    "shutdown": ("hil.cli.operate:SHUTDOWN", "end the daemon with centred valves"),
 }
-"""Module and summary of each command of this package."""
+"""Module, or module and name of an object in it, and summary of each command of this package.
+
+A module or object has ``main`` and ``parser``.
+"""
+OPERATION = (
+    *(
+        "daemon",
+        "status",
+        "arm",
+        "disarm",
+        "start",
+        "stop",
+        "reset",
+        "setpoint",
+        "controller",
+        "jog",
+        "event",
+    ),
+    *("record", "shutdown"),
+)
+"""Commands that start or operate a daemon. The help lists them in a group of their own."""
 PLUGINS = "hil.commands"
 """Group of entry points by which other packages add commands, such as ``hil design``."""
 
@@ -66,10 +98,12 @@ def command_names() -> list[str]:
     return [*COMMANDS, *(entry.name for entry in entry_points(group=PLUGINS) if entry.name not in COMMANDS)]
 
 
-def command_module(name: str) -> ModuleType | None:
-    """Import and return the module of a command; None if there is no such command."""
+def command_module(name: str) -> Any:
+    """Import and return the module or object of a command; None if there is no such command."""
     if name in COMMANDS:
-        return import_module(COMMANDS[name][0])
+        module, _, attribute = COMMANDS[name][0].partition(":")
+        imported = import_module(module)
+        return getattr(imported, attribute) if attribute else imported
     entry = next(iter(entry_points(group=PLUGINS, name=name)), None)
     return None if entry is None else import_module(entry.module)
 
@@ -114,7 +148,10 @@ def _usage() -> str:
         "Hardware-in-the-loop gateway for a pneumatic robot arm with three axes.",
         "",
         "commands:",
-        *(f"  {name:{width}}  {summary_of(name)}" for name in names),
+        *(f"  {name:{width}}  {summary_of(name)}" for name in names if name not in OPERATION),
+        "",
+        "a daemon, and the requests that it takes:",
+        *(f"  {name:{width}}  {summary_of(name)}" for name in names if name in OPERATION),
         "",
         "`hil COMMAND --help` describes a command.",
     ]

@@ -18,9 +18,11 @@ import msgspec
 
 from firmware_sim.plant_options import add_plant_options, check_plant_options
 from firmware_sim.simulated_plant import plant_texts
-from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
+from hil.cli.axis_values import by_axis
+from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.record_path import create_folder_of, recording_path
-from hil.cli.run import by_axis, chosen_bus, duration_argument
+from hil.cli.run import chosen_bus, duration_argument
+from hil.cli.run_parts import SIMULATED
 from hil.core.documents import to_json
 from hil.core.errors import DocumentError, HilError
 from hil.core.excitation import KINDS, Signal, read_table, samples

@@ -14,9 +14,12 @@ from typing import TYPE_CHECKING
 
 from firmware_sim.plant_options import add_plant_options, check_plant_options, given_plant_options
 from firmware_sim.simulated_plant import plant_texts
-from hil.cli.launch import SIMULATED, run_lockstep, run_realtime
+from hil.cli.axis_values import by_axis
+from hil.cli.confirmation import confirm_motion, is_real
+from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.quantities import duration_text
 from hil.cli.record_path import create_folder_of, recording_path
+from hil.cli.run_parts import SIMULATED
 from hil.core.errors import DocumentError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, FORMS
 from hil.host.command_parser import CommandParser
@@ -47,7 +50,9 @@ axes.NAME.envelope) is refused.
 Controllers: the name of a shipped one ({shipped}), or a JSON file such as `hil design` writes. With --linear
 and without --rig, every axis has {linear}, which were designed for eq. (15).
 
-Buses: sim (simulated boards in a process of their own), vcan0, can0, slcan:/dev/ttyACM0, udp:PORT."""
+Buses: sim (simulated boards in a process of their own), vcan0, can0, slcan:/dev/ttyACM0, udp:PORT. On can0
+and slcan, a real arm may move: the command shows positions and setpoints, and asks. Without a terminal to ask
+on, it needs --yes."""
 
 
 def parser() -> CommandParser:
@@ -89,6 +94,9 @@ def parser() -> CommandParser:
     command.add_argument(
         "--record", type=Path, metavar="FILE", help="recording (default runs/<date>-<time>.mcap)"
     )
+    command.add_argument(
+        "--yes", action="store_true", help="do not ask before the axes of a bus that may be real move"
+    )
     add_plant_options(command)
     return command
 
@@ -97,8 +105,8 @@ def main(argv: list[str]) -> int:
     """Run ``hil run`` with ``argv``; return its exit status. Raises HilError for wrong arguments or files."""
     options = parser().parse_args(argv)
     check_plant_options(options)
-    scenario, scenario_text = _scenario(options)
-    setup = _setup(options, scenario, scenario_text)
+    scenario, scenario_text = given_scenario(options)
+    setup = read_setup(options, scenario, scenario_text)
     bus = chosen_bus(options, setup)
     if bus == SIMULATED:
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
@@ -107,6 +115,8 @@ def main(argv: list[str]) -> int:
             f"hil run: with --bus {bus}, the events and faults of the scenario do not happen; "
             "`firmware-sim --scenario` simulates them\n"
         )
+    if is_real(bus) and not options.yes:
+        confirm_motion(setup, bus)
     duration_s = options.duration or (scenario.duration_s if scenario else DEFAULT_DURATION_S)
     plan = RunPlan(duration_s, setup.rig.loop.period_s)
     report = _recorded_run(setup, plan, bus, duration_s, options)
@@ -159,8 +169,8 @@ def chosen_bus(options: argparse.Namespace, setup: RunSetup) -> str:
     return bus
 
 
-def _scenario(options: argparse.Namespace) -> tuple[Scenario | None, str]:
-    """Return the scenario and its text."""
+def given_scenario(options: argparse.Namespace) -> tuple[Scenario | None, str]:
+    """Return the scenario of ``--scenario`` and its text. Raises DocumentError."""
     if options.scenario is None:
         return None, ""
     from firmware_sim.scenario import find_scenario, read_scenario
@@ -170,7 +180,7 @@ def _scenario(options: argparse.Namespace) -> tuple[Scenario | None, str]:
     return read_scenario(text, str(path)), text
 
 
-def _setup(options: argparse.Namespace, scenario: Scenario | None, scenario_text: str) -> RunSetup:
+def read_setup(options: argparse.Namespace, scenario: Scenario | None, scenario_text: str) -> RunSetup:
     """Read the setup of the run. Options win over the scenario, and the scenario over the rig file."""
     controllers = by_axis("--controller", options.controller, "vertical=ppid")
     setpoints = by_axis("--setpoint", options.setpoint, f"vertical={EXAMPLE}")
@@ -205,21 +215,6 @@ def _linear_controllers(options: argparse.Namespace) -> dict[str, str]:
     if not options.linear or options.rig is not None:
         return {}
     return {name: LINEAR_CONTROLLERS[axis.unit] for name, axis in load_rig(None).axes.items()}
-
-
-def by_axis(option: str, given: list[str], example: str) -> dict[str, str]:
-    """Split ``AXIS=VALUE`` texts. Raises DocumentError."""
-    pairs: dict[str, str] = {}
-    for text in given:
-        name, equals, value = text.partition("=")
-        if not equals or not name or not value:
-            raise DocumentError(
-                f"{option} {text!r}: the axis or the value is missing; write {option} {example}"
-            )
-        if name in pairs:
-            raise DocumentError(f"{option} {name} is given twice, as {pairs[name]!r} and as {value!r}")
-        pairs[name] = value
-    return pairs
 
 
 def duration_argument(text: str) -> float:

@@ -39,5 +39,13 @@ class EnvironmentLackError(HilError):
     """The machine lacks a kernel module, a right or a program that a command needs."""
 
 
+class OperationError(HilError):
+    """No daemon answers, or the connection to it failed."""
+
+
+class RequestRefusedError(OperationError):
+    """The daemon refused a request. The message is the daemon's reason."""
+
+
 class SimulationError(HilError):
     """The state of a simulated plant has left the range in which its model is valid."""

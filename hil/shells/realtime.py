@@ -23,8 +23,15 @@ CENTRING_TIMEOUT_NS = 1_000_000_000
 """Time for which centring is tried after a failure. Then the board's watchdog has centred the valves."""
 
 
-def run(session: Session, link: Link, stop: StopRequest) -> Exception | None:
+def run(
+    session: Session,
+    link: Link,
+    stop: StopRequest,
+    serve_operators: Callable[[Session], None] | None = None,
+) -> Exception | None:
     """Run until the session's plan is over, the link fails, or an internal error occurs.
+
+    ``serve_operators`` is called after each frame and each deadline that was served. It must not wait.
 
     Returns the internal error, for a report, or None. It is a defect of this program or of a library.
     """
@@ -33,6 +40,8 @@ def run(session: Session, link: Link, stop: StopRequest) -> Exception | None:
         try:
             _step(session, link)
             unreadable.report()
+            if serve_operators is not None:
+                serve_operators(session)
         except LinkError as error:
             _end(session, link, Ending.LINK, str(error))
             return None

@@ -77,8 +77,7 @@ def load_rig(path: str | os.PathLike[str] | None = None) -> Rig:
 def load_controller(name: str | os.PathLike[str]) -> ControllerFile:
     """Read a controller file, or a shipped one by its name. Raises DocumentError."""
     text = os.fspath(name)
-    path = _controller_path(text, Path(), "controller")
-    return read_controller(read_text(path), text)
+    return read_controller(read_text(controller_path(text)), text)
 
 
 def load_setup(
@@ -171,6 +170,11 @@ def setup_from_texts(
 def shipped_controllers() -> list[str]:
     """Return the names of the controllers that the package contains."""
     return sorted(path.stem for path in SHIPPED_CONTROLLERS.glob("*.json"))
+
+
+def controller_path(name: str) -> Path:
+    """Return the file of a shipped controller by its name, or the file ``name``. Raises DocumentError."""
+    return _controller_path(name, Path(), "controller")
 
 
 def _controller_path(name: str, base: Path, origin: str) -> Path:

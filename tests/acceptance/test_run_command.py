@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.cli import launch, main
+from hil.cli import main, run_parts
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import LogEntry, Severity
 from hil.recording.reader import Recording
@@ -202,7 +202,7 @@ def test_an_internal_error_ends_the_run_and_is_reported_without_a_traceback(
 def test_signals_end_the_program_only_after_the_recording_is_closed() -> None:
     """A second Ctrl-C ends summary and plots, which may take long."""
     before = signal.getsignal(signal.SIGINT)
-    with launch._stop_on_signals() as stop:
+    with run_parts.stop_on_signals() as stop:
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
         assert stop.is_set

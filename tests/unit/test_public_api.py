@@ -18,6 +18,7 @@ import hil.lockstep_rig
 PACKAGES = (hil, firmware_sim, design)
 EXPORTED = {
     "hil": [
+        "Client",
         "ControlLaw",
         "ControllerFile",
         "Frame",
@@ -26,6 +27,7 @@ EXPORTED = {
         "LockstepRig",
         "Recording",
         "Rig",
+        "connect",
         "load_controller",
         "load_rig",
         "open_link",

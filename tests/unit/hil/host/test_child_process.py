@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 from support.recorded_runs import children_of
 
-from hil.cli import launch, run
+from hil.cli import run, run_parts
 from hil.host.child_process import await_end
 
 
@@ -44,10 +44,10 @@ def test_a_stopped_process_is_killed(stopped: subprocess.Popen[bytes]) -> None:
 
 
 def test_boards_that_hang_do_not_delay_the_end_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(launch, "BOARDS_END_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(run_parts, "BOARDS_END_TIMEOUT_S", 0.05)
     before = set(children_of(os.getpid()))
     options = run.parser().parse_args(["--linear"])
-    with launch._boards_process("udp:43113", options):
+    with run_parts.boards_process("udp:43113", options):
         (boards,) = set(children_of(os.getpid())) - before
         os.kill(boards, signal.SIGSTOP)
     assert boards not in children_of(os.getpid())

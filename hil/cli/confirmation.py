@@ -1,0 +1,66 @@
+"""Ask before a real arm moves: which axes, from where to where."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+
+from hil.cli.run_parts import SIMULATED
+from hil.core.errors import HilError
+from hil.core.setpoints import Setpoint
+from hil.shells.run_setup import RunSetup
+
+INSIDE_THIS_MACHINE = ("vcan", "udp:", "inproc:")
+"""Beginnings of the names of buses that no real board can be on."""
+
+
+def is_real(bus: str) -> bool:
+    """Return whether real boards may be on a bus. An unknown kind of bus counts as real."""
+    return bus != SIMULATED and not bus.removeprefix("socketcan:").startswith(INSIDE_THIS_MACHINE)
+
+
+def confirm_motion(setup: RunSetup, bus: str) -> None:
+    """Show which axes will move, from where to where, and ask. Raises HilError without a yes.
+
+    The boards are brought up with centred valves to measure the positions.
+    """
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise HilError(
+            f"{bus} may be a real arm and there is no terminal to ask on; give --yes to move "
+            f"{', '.join(setup.rig.axes)}"
+        )
+    positions = _measure(setup, bus)
+    sys.stderr.write("\n".join([f"On {bus}, these axes will move:", *motion_lines(setup, positions)]) + "\n")
+    if positions is None:
+        sys.stderr.write("The boards did not come up, so the positions are not known.\n")
+    sys.stderr.write("Is their range free of people? Type yes: ")
+    sys.stderr.flush()
+    if sys.stdin.readline().strip().lower() != "yes":
+        raise HilError("not confirmed; nothing was moved")
+
+
+def motion_lines(setup: RunSetup, positions: list[float] | None) -> list[str]:
+    """Return a line for each axis: its position, its setpoint and how far the setpoint goes."""
+    lines = []
+    for place, (name, axis) in enumerate(setup.rig.axes.items()):
+        here = "unknown" if positions is None else f"{positions[place]:+.4f} {axis.unit}"
+        lines.append(f"  {name:12} now {here:12}  {_target(setup.setpoints[name], axis.unit)}")
+    return lines
+
+
+def _target(setpoint: Setpoint, unit: str) -> str:
+    if math.isnan(setpoint.min_r):
+        return "holds its position"
+    return f"{setpoint.text}: between {setpoint.min_r:g} and {setpoint.max_r:g} {unit}"
+
+
+def _measure(setup: RunSetup, bus: str) -> list[float] | None:
+    from hil.links import open_link
+    from hil.shells.bus_guard import refuse_other_gateway
+    from hil.shells.first_look import measured_positions
+
+    with open_link(bus) as link:
+        refuse_other_gateway(link, setup.rig.heartbeat_periods * setup.rig.loop.period_s)
+        gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
+        return measured_positions(gateway, link)

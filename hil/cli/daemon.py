@@ -1,0 +1,90 @@
+"""``hil daemon``: run the gateway until it is stopped, controlled from outside through a socket."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from firmware_sim.plant_options import add_plant_options, check_plant_options
+from firmware_sim.simulated_plant import plant_texts
+from hil.cli.axis_values import by_axis
+from hil.cli.operate import add_socket_option
+from hil.cli.run import chosen_bus, given_scenario, read_setup
+from hil.cli.run_parts import SIMULATED
+from hil.core.setpoints import HOLD
+from hil.host.command_parser import CommandParser
+from hil.shells.run_setup import load_rig
+
+DESCRIPTION = """\
+Run the gateway until it is stopped. The daemon brings the boards up and waits in state ready; it never arms
+by itself. `hil arm`, `hil start`, `hil setpoint` and others operate it, as does `hil.connect()` in Python.
+SIGTERM, SIGINT and `hil shutdown` end it: the valves are centred, then the recording is closed. Exit status:
+0 if it was ended like that, 1 if it ended otherwise or its recording is incomplete, 2 if the arguments or
+files are wrong, or if another gateway uses the bus."""
+EPILOG = """\
+Every axis keeps the position that it has at `hil start`, until `hil setpoint` or --setpoint says otherwise.
+The setpoints of the rig file are for `hil run`.
+
+Under systemd (--install-unit), readiness and watchdog are reported, and the log goes to the journal."""
+
+
+def parser() -> CommandParser:
+    """Return the parser of the arguments of ``hil daemon``."""
+    command = CommandParser(prog="hil daemon", description=DESCRIPTION, epilog=EPILOG)
+    command.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the shipped example)")
+    command.add_argument("--bus", metavar="BUS", help="bus of the boards instead of the rig file's")
+    command.add_argument(
+        "--controller",
+        action="append",
+        default=[],
+        metavar="AXIS=FILE",
+        help="controller of an axis instead of the rig file's; may be repeated",
+    )
+    command.add_argument(
+        "--setpoint",
+        action="append",
+        default=[],
+        metavar="AXIS=SETPOINT",
+        help="setpoint with which an axis starts (default: hold); may be repeated",
+    )
+    add_socket_option(command)
+    command.add_argument(
+        "--record", type=Path, metavar="FILE", help="first recording (default runs/<date>-<time>.mcap)"
+    )
+    units = command.add_argument_group("systemd")
+    units.add_argument(
+        "--install-unit",
+        action="store_true",
+        help="install the unit file of the daemon and an example of the network file of can0, and end",
+    )
+    units.add_argument("--force", action="store_true", help="overwrite installed files")
+    add_plant_options(command)
+    command.set_defaults(lockstep=False)
+    return command
+
+
+def main(argv: list[str]) -> int:
+    """Run ``hil daemon`` with ``argv``; return its exit status. Raises HilError for wrong input."""
+    options = parser().parse_args(argv)
+    if options.install_unit:
+        from hil.cli.unit_files import install
+
+        return install(options.force)
+    check_plant_options(options)
+    scenario, scenario_text = given_scenario(options)
+    options.setpoint = _held(options, set(scenario.setpoints) if scenario else set())
+    setup = read_setup(options, scenario, scenario_text)
+    bus = chosen_bus(options, setup)
+    if bus == SIMULATED:
+        setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
+    from hil.cli.daemon_run import run_daemon
+
+    return run_daemon(setup, bus, options)
+
+
+def _held(options: argparse.Namespace, of_scenario: set[str]) -> list[str]:
+    """Return the setpoints of the command line, and ``hold`` for each axis that has none."""
+    given = by_axis("--setpoint", options.setpoint, "vertical=hold").keys() | of_scenario
+    held = [f"{axis}={HOLD}" for axis in load_rig(options.rig).axes if axis not in given]
+    return [*options.setpoint, *held]

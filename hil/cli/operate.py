@@ -1,0 +1,223 @@
+"""The commands that ask a running daemon for something: ``hil arm``, ``hil setpoint`` and others.
+
+Each is an :class:`OperatorCommand` in this module. Exit status: 0 if the daemon did it, 1 if it refused or no
+daemon runs, 2 for wrong arguments.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from hil.cli.axis_values import by_axis
+from hil.core.errors import DocumentError, OperationError
+from hil.core.setpoints import FORMS
+from hil.host.command_parser import CommandParser, number
+from hil.operation.client import Client, connect
+
+JOG_SPAN_S = 0.3
+"""A longer jog is sent in parts of this duration. If this command ends, the axis stops within it."""
+JOG_REPEAT_S = 0.1
+"""Time from one part of a long jog to the next."""
+
+
+class OperatorCommand(NamedTuple):
+    """One command for a running daemon."""
+
+    name: str
+    description: str
+    add_arguments: Callable[[CommandParser], None]
+    ask: Callable[[Client, argparse.Namespace], str]
+    """Sends the requests, and returns what happened, for the user."""
+    epilog: str = ""
+
+    def parser(self) -> CommandParser:
+        """Return the parser of the command's arguments."""
+        parser = CommandParser(prog=f"hil {self.name}", description=self.description, epilog=self.epilog)
+        self.add_arguments(parser)
+        add_socket_option(parser)
+        return parser
+
+    def main(self, argv: list[str]) -> int:
+        """Run the command with ``argv``; return its exit status."""
+        options = self.parser().parse_args(argv)
+        try:
+            with connect(options.socket) as client:
+                said = self.ask(client, options)
+        except OperationError as error:
+            sys.stderr.write(f"hil {self.name}: {error}\n")
+            return 1
+        sys.stdout.write(f"{said}\n")
+        return 0
+
+
+def add_socket_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--socket``."""
+    parser.add_argument(
+        "--socket",
+        type=Path,
+        metavar="PATH",
+        help="the daemon's socket (default: hil/daemon.sock in the runtime folder)",
+    )
+
+
+def duration(text: str) -> float:
+    """Return the seconds of a duration such as ``0.2s``, ``200ms`` or ``0.2``."""
+    match = re.fullmatch(r"(.*?)(ms|s)?", text.strip())
+    assert match is not None
+    value = number(match[1]) * (0.001 if match[2] == "ms" else 1.0)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} must be more than 0 s")
+    return value
+
+
+def _no_arguments(_parser: CommandParser) -> None:
+    """Add no arguments."""
+
+
+def _simple(name: str, description: str, ask: Callable[[Client], str]) -> OperatorCommand:
+    return OperatorCommand(name, description, _no_arguments, lambda client, _: ask(client))
+
+
+def _pair(option: str, text: str, example: str) -> tuple[str, str]:
+    ((axis, value),) = by_axis(option, [text], example).items()
+    return axis, value
+
+
+def _add_setpoint_arguments(parser: CommandParser) -> None:
+    parser.add_argument(
+        "setpoints", nargs="+", metavar="AXIS=SETPOINT", help="a position, or a setpoint as in a rig file"
+    )
+
+
+def _set_setpoints(client: Client, options: argparse.Namespace) -> str:
+    said = []
+    for axis, text in by_axis("hil setpoint", options.setpoints, "vertical=0.05").items():
+        try:
+            setpoint: float | str = float(text)
+        except ValueError:
+            setpoint = text
+        said.append(client.set_setpoint(axis, setpoint))
+    return "\n".join(said)
+
+
+def _add_controller_arguments(parser: CommandParser) -> None:
+    parser.add_argument(
+        "controllers", nargs="+", metavar="AXIS=FILE", help="a controller file, or the name of a shipped one"
+    )
+
+
+def _set_controllers(client: Client, options: argparse.Namespace) -> str:
+    from hil.shells.run_setup import controller_path
+
+    said = []
+    for axis, name in by_axis("hil controller", options.controllers, "vertical=hls").items():
+        said.append(client.set_controller(axis, controller_path(name)))
+    return "\n".join(said)
+
+
+def _add_jog_arguments(parser: CommandParser) -> None:
+    parser.add_argument("move", metavar="AXIS=VOLTS", help="valve voltage relative to its centre")
+    parser.add_argument(
+        "--for",
+        dest="duration_s",
+        type=duration,
+        default=0.2,
+        metavar="TIME",
+        help="duration, such as 0.2s or 200ms (default 0.2s)",
+    )
+
+
+def _jog(client: Client, options: argparse.Namespace) -> str:
+    """Jog in short parts, so that the axis stops when this command ends."""
+    axis, text = _pair("hil jog", options.move, "vertical=+0.5")
+    try:
+        offset_v = float(text)
+    except ValueError:
+        raise DocumentError(f"hil jog {options.move}: {text!r} is not a number of volts") from None
+    end_s = time.monotonic() + options.duration_s
+    left_s = options.duration_s
+    while left_s > JOG_SPAN_S:
+        client.jog(axis, offset_v, JOG_SPAN_S)
+        time.sleep(JOG_REPEAT_S)
+        left_s = end_s - time.monotonic()
+    return client.jog(axis, offset_v, left_s)
+
+
+def _add_event_arguments(parser: CommandParser) -> None:
+    parser.add_argument("event", metavar="EVENT", help="such as payload:3 or stuck-spool:vertical")
+
+
+def _add_record_arguments(parser: CommandParser) -> None:
+    parser.add_argument(
+        "what", choices=("new", "stop"), help="new: close the recording and begin another; stop: close it"
+    )
+
+
+def _record(client: Client, options: argparse.Namespace) -> str:
+    return client.record_new() if options.what == "new" else client.record_stop()
+
+
+ARM = _simple(
+    "arm",
+    "Allow motion: the daemon goes from ready to armed. The valves stay centred until `hil start`.",
+    Client.arm,
+)
+DISARM = _simple("disarm", "Forbid motion: the daemon goes from armed to ready.", Client.disarm)
+START = _simple(
+    "start",
+    "Begin to control: the daemon goes from armed to running, and the controllers move the valves.",
+    Client.start,
+)
+STOP = _simple(
+    "stop",
+    "Stop the controllers and centre the valves: the daemon goes from running to armed. `hil shutdown` ends "
+    "the daemon itself.",
+    Client.stop,
+)
+RESET = _simple(
+    "reset",
+    "Leave state fault, after its cause is removed. The boards are then brought up again.",
+    Client.reset,
+)
+SHUTDOWN = _simple(
+    "shutdown", "End the daemon: it centres the valves and closes the recording.", Client.shutdown
+)
+SETPOINT = OperatorCommand(
+    "setpoint",
+    "Change the setpoints of axes. In state running, an axis approaches its new setpoint within the limits "
+    "of the rig file.",
+    _add_setpoint_arguments,
+    _set_setpoints,
+    "A number is a position in the axis' unit, m or rad. Other setpoints, whose time 0 is now:\n\n"
+    + "".join(f"  {form}\n" for kind, form in FORMS.items() if kind != "csv"),
+)
+CONTROLLER = OperatorCommand(
+    "controller",
+    "Change the controllers of axes. In state running, the new controller takes over without a jump of the "
+    "valve.",
+    _add_controller_arguments,
+    _set_controllers,
+)
+JOG = OperatorCommand(
+    "jog",
+    "Move one axis with a constant valve voltage for a short time, then centre its valve. If this command "
+    f"ends early, the axis stops within {JOG_SPAN_S:g} s.",
+    _add_jog_arguments,
+    _jog,
+)
+EVENT = OperatorCommand(
+    "event",
+    "Let something happen to the simulated arm now. The forms are those of `hil run --event` without their "
+    "time.",
+    _add_event_arguments,
+    lambda client, options: client.event(options.event),
+)
+RECORD = OperatorCommand(
+    "record", "Begin another recording, or go on without one.", _add_record_arguments, _record
+)

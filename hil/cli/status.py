@@ -1,0 +1,118 @@
+"""``hil status``: what the running daemon does, once or again and again."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+
+import msgspec
+
+from hil.cli.operate import add_socket_option, duration
+from hil.core.errors import OperationError
+from hil.host.command_parser import CommandParser
+from hil.operation.client import Client, connect
+from hil.operation.protocol import LogLine, Status
+from hil.views.log_lines import log_line
+
+DESCRIPTION = """\
+Show the state of the running daemon: positions, setpoints, valve voltages, timing, and a fault. Exit status:
+0, or 1 if the daemon is in state fault or no daemon runs."""
+UP_AND_CLEAR = "\x1b[{lines}F\x1b[J"
+"""Terminal sequence that goes up by some lines and erases what is below."""
+
+
+def parser() -> CommandParser:
+    """Return the parser of the arguments of ``hil status``."""
+    command = CommandParser(prog="hil status", description=DESCRIPTION)
+    command.add_argument("--watch", action="store_true", help="show it again and again, with the log")
+    command.add_argument(
+        "--interval",
+        type=duration,
+        default=0.2,
+        metavar="TIME",
+        help="time between two looks of --watch, 0.05s to 60s (default 0.2s)",
+    )
+    command.add_argument("--json", action="store_true", help="print a line of JSON for each look")
+    add_socket_option(command)
+    return command
+
+
+def main(argv: list[str]) -> int:
+    """Run ``hil status`` with ``argv``; return its exit status."""
+    options = parser().parse_args(argv)
+    try:
+        with connect(options.socket) as client:
+            looks = client.watch(options.interval) if options.watch else _one(client)
+            show = show_json if options.json else show_live if options.watch else show_text
+            status = show(looks)
+    except OperationError as error:
+        sys.stderr.write(f"hil status: {error}\n")
+        return 1
+    return 1 if status is None or status.state == "fault" else 0
+
+
+def _one(client: Client) -> Iterable[Status]:
+    yield client.status()
+
+
+def show_json(looks: Iterable[Status]) -> Status | None:
+    """Print a line of JSON for each status. Return the last status."""
+    status = None
+    for status in looks:
+        sys.stdout.write(msgspec.json.encode(status).decode() + "\n")
+        sys.stdout.flush()
+    return status
+
+
+def show_text(looks: Iterable[Status]) -> Status | None:
+    """Print each status. Return the last one."""
+    status = None
+    for status in looks:
+        sys.stdout.write("\n".join(status_lines(status)) + "\n")
+    return status
+
+
+def show_live(looks: Iterable[Status]) -> Status | None:
+    """Print log entries as they come, and below them the status, which is overwritten on a terminal."""
+    status, shown = None, 0
+    is_terminal = sys.stdout.isatty()
+    for status in looks:
+        if is_terminal and shown:
+            sys.stdout.write(UP_AND_CLEAR.format(lines=shown))
+        sys.stdout.write("".join(map(_log_text, status.log)))
+        lines = status_lines(status)
+        shown = len(lines)
+        sys.stdout.write("\n".join(lines) + "\n")
+        sys.stdout.flush()
+    return status
+
+
+def _log_text(line: LogLine) -> str:
+    return log_line(line.time_ns * 1e-9, line.severity, line.source, line.text, is_journal=False)
+
+
+def status_lines(status: Status) -> list[str]:
+    """Return the status in lines that fit into 80 columns, except for long texts of the daemon."""
+    bus = "simulated boards" if status.is_simulated else status.bus
+    lines = [
+        f"{status.state:8}  {bus}, period {status.period} of {status.period_s * 1e3:g} ms",
+        f"{'timing':8}  late up to {status.max_lateness_ms:.2f} ms, missed {status.missed_periods}, "
+        f"rejected {status.rejected_frames}, lost {status.lost_samples}",
+    ]
+    for axis in status.axes:
+        command = "–" if axis.command_v is None else f"{axis.command_v:.2f}"
+        lines.append(
+            f"  {axis.name:12} {_signed(axis.position)} {axis.unit:3}  setpoint {_signed(axis.setpoint)} "
+            f"{axis.unit:3}  valve {command:>5} V"
+        )
+    lines.append(f"{'record':8}  {status.recording or 'nothing is recorded'}")
+    if status.state == "offline":
+        lines.append(f"{'boards':8}  {status.readiness}")
+    if status.fault:
+        lines += [f"{'fault':8}  {status.fault}", f"{'':8}  remove the cause, then `hil reset`"]
+    return lines
+
+
+def _signed(value: float | None) -> str:
+    """Return the number with its sign, or a dash if it is not known."""
+    return f"{'–':>8}" if value is None else f"{value:+8.4f}"

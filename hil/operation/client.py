@@ -1,0 +1,284 @@
+"""Operate a running daemon from Python."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self, TypeVar
+
+import msgspec
+
+from hil.core.errors import OperationError, RequestRefusedError
+from hil.host.text_file import MAX_DOCUMENT_BYTES, read_text
+from hil.operation.protocol import (
+    MAX_LINE_BYTES,
+    PROTOCOL,
+    VERSION,
+    Answer,
+    AnyCall,
+    ArmCall,
+    ControllerCall,
+    DisarmCall,
+    EventCall,
+    Greeting,
+    JogCall,
+    RecordNewCall,
+    RecordStopCall,
+    ResetCall,
+    SetpointCall,
+    ShutdownCall,
+    StartCall,
+    Status,
+    StatusCall,
+    StopCall,
+    Update,
+    WatchCall,
+    encode_line,
+)
+from hil.operation.socket_path import default_path
+
+TIMEOUT_S = 20.0
+"""Longest wait for an answer. It is longer than the daemon's own wait for the loop."""
+
+_Kind = TypeVar("_Kind")
+
+
+def connect(path: str | os.PathLike[str] | None = None) -> Client:
+    """Connect to the running daemon, at its socket ``path`` or at the default one of this user.
+
+    Raises OperationError if no daemon runs there.
+    """
+    return Client(Path(path) if path is not None else default_path())
+
+
+class Client:
+    """A connection to a running daemon.
+
+    Each method waits for the daemon's answer. It raises :class:`~hil.core.errors.RequestRefusedError` with
+    the daemon's words if the daemon refuses, and :class:`~hil.core.errors.OperationError` if the connection
+    fails. Positions are in the axis' unit, m or rad::
+
+        import hil
+
+        with hil.connect() as daemon:
+            daemon.arm()
+            daemon.start()
+            daemon.set_setpoint("vertical", 0.05)
+            for status in daemon.watch():
+                vertical = status.axes[0]
+                if vertical.error is not None and abs(vertical.error) < 0.001:
+                    break
+            daemon.stop()
+            daemon.disarm()
+
+    Watching uses a second connection, so that requests can be made meanwhile. An object is used by one thread
+    at a time.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Connect to the socket ``path``. Raises OperationError."""
+        self.path = path
+        """Path of the daemon's socket."""
+        self._id = 0
+        self._lines = _Lines(path)
+
+    def status(self) -> Status:
+        """Return the state of the daemon, at most 0.1 s old."""
+        status = self._ask(StatusCall(id=self._next_id())).status
+        if status is None:
+            raise OperationError(f"{self.path}: the daemon's answer has no status; update the daemon")
+        return status
+
+    def watch(self, interval_s: float = 0.2) -> Iterator[Status]:
+        """Yield the status every ``interval_s`` seconds, with the log entries since the one before.
+
+        ``interval_s`` is 0.05 to 60. Ends when the daemon ends.
+        """
+        with _Lines(self.path) as lines:
+            answer = lines.ask(WatchCall(interval_s=interval_s))
+            if not answer.accepted:
+                raise RequestRefusedError(answer.text)
+            while line := lines.read(timeout_s=interval_s + TIMEOUT_S):
+                yield msgspec.json.decode(line, type=Update).status
+
+    def arm(self) -> str:
+        """Allow motion: ready becomes armed. The valves stay centred. Return what happened."""
+        return self._ask(ArmCall(id=self._next_id())).text
+
+    def disarm(self) -> str:
+        """Forbid motion: armed becomes ready. Return what happened."""
+        return self._ask(DisarmCall(id=self._next_id())).text
+
+    def start(self) -> str:
+        """Begin to control: armed becomes running, and the controllers move the valves."""
+        return self._ask(StartCall(id=self._next_id())).text
+
+    def stop(self) -> str:
+        """Stop controlling and centre the valves: running becomes armed. The daemon goes on."""
+        return self._ask(StopCall(id=self._next_id())).text
+
+    def reset(self) -> str:
+        """Leave state fault. The boards are then brought up again."""
+        return self._ask(ResetCall(id=self._next_id())).text
+
+    def set_setpoint(self, axis: str, setpoint: float | str) -> str:
+        """Change the setpoint of ``axis``.
+
+        A number is a position in the axis' unit. A text is a setpoint as in a rig file, such as
+        ``"sine:0.05@0/4"``; its time 0 is now. In state running, the axis approaches it within the limits of
+        the rig file.
+        """
+        text = setpoint if isinstance(setpoint, str) else f"step:{float(setpoint)!r}@0"
+        return self._ask(SetpointCall(id=self._next_id(), axis=axis, setpoint=text)).text
+
+    def set_controller(self, axis: str, file: str | os.PathLike[str]) -> str:
+        """Change the controller of ``axis`` to that of a controller file. This process reads the file.
+
+        Raises DocumentError if the file cannot be read.
+        """
+        path = Path(file)
+        document = read_text(path, MAX_DOCUMENT_BYTES)
+        call = ControllerCall(id=self._next_id(), axis=axis, name=path.name, document=document)
+        return self._ask(call).text
+
+    def jog(self, axis: str, offset_v: float, duration_s: float) -> str:
+        """Move ``axis`` with a constant valve voltage, ``offset_v`` from the valve's centre.
+
+        The valve is centred after ``duration_s`` seconds. A further call before the end extends the motion.
+        """
+        call = JogCall(id=self._next_id(), axis=axis, offset_v=offset_v, duration_s=duration_s)
+        return self._ask(call).text
+
+    def event(self, text: str) -> str:
+        """Let something happen to the simulated arm now, such as ``"payload:3"``."""
+        return self._ask(EventCall(id=self._next_id(), text=text)).text
+
+    def record_new(self) -> str:
+        """Close the recording and begin another. Return what happened, with the new file's name."""
+        return self._ask(RecordNewCall(id=self._next_id())).text
+
+    def record_stop(self) -> str:
+        """Close the recording. The daemon goes on without one."""
+        return self._ask(RecordStopCall(id=self._next_id())).text
+
+    def shutdown(self) -> str:
+        """End the daemon: it centres the valves and closes the recording. Wait until it has ended."""
+        text = self._ask(ShutdownCall(id=self._next_id())).text
+        while self._lines.read(TIMEOUT_S):
+            pass
+        return text
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._lines.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _next_id(self) -> int:
+        self._id += 1
+        return self._id
+
+    def _ask(self, call: AnyCall) -> Answer:
+        answer = self._lines.ask(call)
+        if not answer.accepted:
+            raise RequestRefusedError(answer.text)
+        return answer
+
+
+class _Lines:
+    """A connection that sends and receives lines."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._unread = bytearray()
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.settimeout(TIMEOUT_S)
+            self._socket.connect(os.fspath(path))
+            self._greet()
+        except (FileNotFoundError, ConnectionRefusedError):
+            self.close()
+            raise OperationError(
+                f"no daemon runs at {path}: start one with `hil daemon`, or give --socket its path"
+            ) from None
+        except OSError as error:
+            self.close()
+            raise OperationError(f"{path}: cannot connect to the daemon: {_reason(error)}") from None
+        except OperationError:
+            self.close()
+            raise
+
+    def _greet(self) -> None:
+        line = self.read(TIMEOUT_S)
+        greeting = _decode(line, Greeting, self._path) if b'"protocol"' in line else None
+        if greeting is None:
+            refusal = _decode(line, Answer, self._path).text if line else "it closed the connection"
+            raise OperationError(f"{self._path}: the daemon does not serve this client: {refusal}")
+        if (greeting.protocol, greeting.version) != (PROTOCOL, VERSION):
+            raise OperationError(
+                f"{self._path}: the daemon speaks {greeting.protocol} version {greeting.version} (hil "
+                f"{greeting.hil}), this program {PROTOCOL} version {VERSION}; use the same hil for both"
+            )
+
+    def ask(self, call: AnyCall) -> Answer:
+        """Send a request and return its answer. Raises OperationError."""
+        data = encode_line(call)
+        if len(data) > MAX_LINE_BYTES:
+            raise OperationError(
+                f"the request has {len(data)} bytes, limit {MAX_LINE_BYTES}: shorten the file that it sends"
+            )
+        try:
+            self._socket.settimeout(TIMEOUT_S)
+            self._socket.sendall(data)
+        except OSError as error:
+            raise OperationError(f"{self._path}: the daemon has ended: {_reason(error)}") from None
+        line = self.read(TIMEOUT_S)
+        if not line:
+            raise OperationError(f"{self._path}: the daemon closed the connection without an answer")
+        return _decode(line, Answer, self._path)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return the next line, or nothing at the end of the connection. Raises OperationError."""
+        self._socket.settimeout(timeout_s)
+        try:
+            while b"\n" not in self._unread:
+                data = self._socket.recv(65536)
+                if not data:
+                    return b""
+                self._unread += data
+        except OSError as error:
+            raise OperationError(f"{self._path}: the daemon does not answer: {_reason(error)}") from None
+        line, _, self._unread = self._unread.partition(b"\n")
+        return bytes(line)
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _decode(line: bytes, kind: type[_Kind], path: Path) -> _Kind:
+    try:
+        return msgspec.json.decode(line, type=kind)
+    except ValueError as error:
+        raise OperationError(f"{path}: not an answer of a hil daemon: {error}") from None
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or "timed out"

@@ -1,0 +1,265 @@
+"""The protocol between the daemon and its clients, version 1: JSON lines over a Unix-domain socket.
+
+The daemon sends a greeting when a client connects::
+
+    {"protocol": "hil-operation", "version": 1, "hil": "0.2.0"}
+
+A client sends one request in a line. The daemon answers the requests of a connection in their order, each
+with one line that repeats the request's ``id``::
+
+    {"request": "setpoint", "id": 7, "axis": "vertical", "setpoint": "step:0.05@0"}
+    {"id": 7, "accepted": true, "text": "vertical: setpoint step:0.05@0"}
+
+``text`` says what happened, or why the request was refused. Requests and their keys:
+
+================  =============================  ==========================================================
+request           keys besides ``id``            effect
+================  =============================  ==========================================================
+``status``                                       the answer has the key ``status``, see :class:`Status`
+``watch``         ``interval_s`` (0.05 to 60)    from now on, the connection only sends :class:`Update` lines
+``arm``                                          ready -> armed
+``disarm``                                       armed -> ready
+``start``                                        armed -> running: the controllers move the valves
+``stop``                                         running -> armed: the valves are centred
+``reset``                                        fault -> offline
+``setpoint``      ``axis``, ``setpoint``         changes the setpoint; its time 0 is now
+``controller``    ``axis``, ``name``,            changes the controller; ``document`` is the text of a
+                  ``document``                   controller file, ``name`` is its name in messages
+``jog``           ``axis``, ``offset_v``,        moves one axis with a constant valve voltage, then centres
+                  ``duration_s``                 its valve
+``event``         ``text``                       something happens to the simulated arm now
+``record new``                                   closes the recording and begins another
+``record stop``                                  closes the recording; the loop goes on without one
+``shutdown``                                     centres the valves, closes the recording, ends the daemon
+================  =============================  ==========================================================
+
+Numbers that are not finite are null in :class:`Status`: no sample has come yet. Later versions of the program
+may add keys to answers, which a client ignores. A request with an unknown key is refused.
+
+Limits: a line has at most ``MAX_LINE_BYTES`` bytes. ``MAX_CONNECTIONS`` clients are served at a time. A
+connection is read at ``MAX_REQUESTS_PER_S`` on average. A client that does not read what it asked for is
+disconnected after ``WRITE_TIMEOUT_S``, and so is one that sends a line which is no request. The socket file
+has mode 0600, and the daemon serves only its own user and root.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+PROTOCOL = "hil-operation"
+VERSION = 1
+MAX_LINE_BYTES = 128 * 1024
+"""Largest line in bytes, either way. A controller of 50 states needs less."""
+MAX_CONNECTIONS = 16
+"""Number of clients that are served at the same time."""
+MAX_REQUESTS_PER_S = 200.0
+"""Average rate at which requests of one connection are read."""
+WRITE_TIMEOUT_S = 5.0
+"""Time after which a client that reads nothing is disconnected."""
+
+AxisName = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+ShortText = Annotated[str, msgspec.Meta(min_length=1, max_length=1024)]
+_Id = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+
+
+class Call(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="request", kw_only=True):
+    """A request of a client. ``id`` is chosen by the client and repeated in the answer."""
+
+    id: _Id = 0
+
+
+class StatusCall(Call, frozen=True, tag="status"):
+    """Ask for the status."""
+
+
+class WatchCall(Call, frozen=True, tag="watch"):
+    """Ask for an :class:`Update` every ``interval_s`` seconds."""
+
+    interval_s: Annotated[float, msgspec.Meta(ge=0.05, le=60.0)] = 0.2
+
+
+class ArmCall(Call, frozen=True, tag="arm"):
+    """Allow motion."""
+
+
+class DisarmCall(Call, frozen=True, tag="disarm"):
+    """Forbid motion."""
+
+
+class StartCall(Call, frozen=True, tag="start"):
+    """Begin to control."""
+
+
+class StopCall(Call, frozen=True, tag="stop"):
+    """Stop controlling and centre the valves."""
+
+
+class ResetCall(Call, frozen=True, tag="reset"):
+    """Leave state fault."""
+
+
+class SetpointCall(Call, frozen=True, tag="setpoint"):
+    """Change the setpoint of an axis."""
+
+    axis: AxisName
+    setpoint: ShortText
+    """Setpoint as in a rig file, such as ``step:0.05@0``."""
+
+
+class ControllerCall(Call, frozen=True, tag="controller"):
+    """Change the controller of an axis."""
+
+    axis: AxisName
+    name: ShortText
+    """Name of the controller file, for messages."""
+    document: str
+    """Text of the controller file."""
+
+
+class JogCall(Call, frozen=True, tag="jog"):
+    """Move one axis with a constant valve voltage for a short time."""
+
+    axis: AxisName
+    offset_v: float
+    """Valve voltage in volts, relative to the valve's centre."""
+    duration_s: Annotated[float, msgspec.Meta(gt=0.0)]
+    """Time after which the valve is centred, in seconds."""
+
+
+class EventCall(Call, frozen=True, tag="event"):
+    """Let something happen to the simulated arm."""
+
+    text: ShortText
+    """The event without a time, such as ``payload:3``."""
+
+
+class RecordNewCall(Call, frozen=True, tag="record new"):
+    """Close the recording and begin another."""
+
+
+class RecordStopCall(Call, frozen=True, tag="record stop"):
+    """Close the recording."""
+
+
+class ShutdownCall(Call, frozen=True, tag="shutdown"):
+    """End the daemon."""
+
+
+LoopCall = (
+    ArmCall
+    | DisarmCall
+    | StartCall
+    | StopCall
+    | ResetCall
+    | SetpointCall
+    | ControllerCall
+    | JogCall
+    | EventCall
+    | RecordNewCall
+    | RecordStopCall
+    | ShutdownCall
+)
+"""Requests that the loop takes. The socket process answers the others itself."""
+AnyCall = StatusCall | WatchCall | LoopCall
+"""Every request."""
+
+
+class LogLine(msgspec.Struct, frozen=True):
+    """A log entry with its time."""
+
+    time_ns: int
+    """Time of the entry, in nanoseconds since 1970."""
+    severity: int
+    """20 information, 30 warning, 40 error, 50 fault."""
+    source: str
+    text: str
+
+
+class AxisStatus(msgspec.Struct, frozen=True):
+    """Signals of one axis in the last period. None stands for a number that is not known yet."""
+
+    name: str
+    unit: str
+    """Unit of setpoint, position and error: m or rad."""
+    setpoint: float | None
+    position: float | None
+    error: float | None
+    """Control error, setpoint minus position."""
+    output_v: float | None
+    """Output of the controller in volts, before the limits."""
+    command_v: float | None
+    """Commanded valve voltage in volts."""
+
+
+class Status(msgspec.Struct, frozen=True):
+    """State of the daemon at the end of a period."""
+
+    state: str
+    """State of the life cycle: offline, ready, armed, running, fault."""
+    fault: str | None
+    """Source and reason of the fault in state fault."""
+    readiness: str
+    """What is known about the boards and their samples."""
+    bus: str
+    is_simulated: bool
+    """True if the boards are simulated and were started by the daemon."""
+    period: int
+    """Number of the period."""
+    period_s: float
+    """Sample time of the loop in seconds."""
+    time_ns: int
+    """Time of this status, in nanoseconds since 1970."""
+    max_lateness_ms: float
+    """Largest delay of a period's begin since the last status, in milliseconds."""
+    missed_periods: int
+    rejected_frames: int
+    lost_samples: int
+    recording: str | None
+    """Path of the recording, or None if nothing is recorded."""
+    axes: tuple[AxisStatus, ...]
+    """Signals of every axis, in the order of the rig file."""
+    log: tuple[LogLine, ...] = ()
+    """Log entries since the last status of the same watch; empty in the answer to ``status``."""
+
+
+class Greeting(msgspec.Struct, frozen=True):
+    """First line on a connection."""
+
+    protocol: str
+    version: int
+    hil: str
+    """Version of the daemon's program."""
+
+
+class Answer(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
+    """Answer to a request. A line that is no request is answered with ``id`` 0."""
+
+    id: int
+    accepted: bool
+    text: str
+    """What happened, or why not."""
+    status: Status | None = None
+
+
+class Update(msgspec.Struct, frozen=True):
+    """Line of a watching connection."""
+
+    status: Status
+
+
+def encode_line(message: msgspec.Struct) -> bytes:
+    """Return the line of a message, with its line end."""
+    return msgspec.json.encode(message) + b"\n"
+
+
+_DECODER: msgspec.json.Decoder[AnyCall] = msgspec.json.Decoder(AnyCall)
+
+
+def decode_call(line: bytes) -> AnyCall:
+    """Return the request in a line. Raises ValueError with the reason if the line is no request."""
+    try:
+        return _DECODER.decode(line)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None

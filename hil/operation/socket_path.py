@@ -1,0 +1,85 @@
+"""The daemon's socket file: where it is, and how one daemon takes it.
+
+A lock file beside the socket is held as long as the daemon runs. So the socket file of a daemon that was
+killed can be removed without a doubt, and two daemons never share one socket.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+from hil.core.errors import OperationError
+
+FOLDER = "hil"
+NAME = "daemon.sock"
+MAX_PATH_BYTES = 107
+"""Longest path of a Unix-domain socket on Linux (unix(7))."""
+BACKLOG = 16
+"""Number of connections that may wait until they are accepted."""
+
+
+def default_path() -> Path:
+    """Return the socket file in this user's runtime folder. Raises OperationError if there is none."""
+    folder = os.environ.get("XDG_RUNTIME_DIR")
+    if folder:
+        return Path(folder) / FOLDER / NAME
+    if os.getuid() == 0:
+        return Path("/run") / FOLDER / NAME
+    path = Path(f"/run/user/{os.getuid()}")
+    if path.is_dir():
+        return path / FOLDER / NAME
+    raise OperationError(
+        "this user has no runtime folder (XDG_RUNTIME_DIR is not set): give --socket a path in a folder that "
+        "only you can write, to the daemon and to the commands"
+    )
+
+
+@contextlib.contextmanager
+def listening(path: Path) -> Iterator[socket.socket]:
+    """Listen at ``path`` with mode 0600, and remove the file at the end.
+
+    Raises OperationError if another daemon has the path or if it cannot be used.
+    """
+    if len(os.fsencode(path)) > MAX_PATH_BYTES:
+        raise OperationError(
+            f"--socket {path}: a socket's path has at most {MAX_PATH_BYTES} bytes; choose a shorter one"
+        )
+    with contextlib.ExitStack() as stack:
+        try:
+            listener = _listen(path, stack)
+        except OSError as error:
+            raise OperationError(
+                f"--socket {path}: cannot be used: {error.strerror}; choose another path"
+            ) from None
+        yield listener
+
+
+def _listen(path: Path, stack: contextlib.ExitStack) -> socket.socket:
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    lock = stack.enter_context(path.with_name(f"{path.name}.lock").open("w"))
+    _lock(lock.fileno(), path)
+    path.unlink(missing_ok=True)
+    listener = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+    mask = os.umask(0o177)  # the file never exists with wider rights
+    try:
+        listener.bind(os.fspath(path))
+    finally:
+        os.umask(mask)
+    stack.callback(path.unlink, missing_ok=True)
+    listener.listen(BACKLOG)
+    return listener
+
+
+def _lock(descriptor: int, path: Path) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise OperationError(
+            f"another daemon serves {path}: see `hil status`; end it with `hil shutdown`, or give --socket "
+            "another path"
+        ) from None

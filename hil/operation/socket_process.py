@@ -1,0 +1,44 @@
+"""Start the process that serves the operator's socket, and end it."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import msgspec
+
+from hil.host.child_process import await_end
+from hil.operation.pipe import Facts, pipe
+
+END_TIMEOUT_S = 2.0
+"""Time in which the socket process must end after the loop has closed its end of the pipe."""
+
+
+@contextlib.contextmanager
+def socket_process(listener: socket.socket, facts: Facts) -> Iterator[socket.socket]:
+    """Run the socket process, and give the loop's end of the pipe to it.
+
+    Start it before the loop takes real-time rights, because the process inherits them.
+    """
+    ours, theirs = pipe()
+    with ours:
+        descriptors = listener.fileno(), theirs.fileno()
+        with theirs:
+            process = subprocess.Popen(
+                # -P: modules in the working directory are not imported.
+                [sys.executable, "-P", "-m", "hil.operation.server_process", *map(str, descriptors)],
+                pass_fds=descriptors,
+                stdin=subprocess.PIPE,
+                start_new_session=True,  # Ctrl-C ends the daemon, which then ends this process.
+            )
+        assert process.stdin is not None
+        with contextlib.suppress(BrokenPipeError), process.stdin:
+            process.stdin.write(msgspec.json.encode(facts))
+        try:
+            yield ours
+        finally:
+            ours.close()
+            await_end(process, END_TIMEOUT_S)

@@ -1,0 +1,228 @@
+"""The loop's end of the pipe to the operators: takes requests and gives replies, status and log entries.
+
+The port works once a period, after the period's command has left, and takes at most
+``MAX_REQUESTS_PER_PERIOD`` requests. It never waits. What the socket process does not take is dropped.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import msgspec
+
+from hil.core.gateway import Gateway
+from hil.core.life_cycle import Trigger
+from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
+from hil.core.requests import ControllerRequest, JogRequest, Reply, Request, SetpointRequest
+from hil.operation.pipe import MAX_MESSAGE_BYTES, Asked, Logged, Replied, StatusNow
+from hil.operation.protocol import (
+    ArmCall,
+    AxisStatus,
+    ControllerCall,
+    DisarmCall,
+    JogCall,
+    LogLine,
+    LoopCall,
+    ResetCall,
+    SetpointCall,
+    StartCall,
+    Status,
+    StopCall,
+)
+from hil.shells.session import Session
+
+MAX_REQUESTS_PER_PERIOD = 4
+"""Number of requests that are taken after one period."""
+STATUS_PERIODS = 9
+"""Number of periods from one status to the next, about 0.1 s."""
+MAX_DROPPED_IN_ROW = 20
+"""This many messages in a row that the socket process did not take mean that it has stopped."""
+
+Action = Callable[[Any, str], Reply]
+"""Takes a request that is not for the core, and who asked. Returns the reply."""
+
+
+class Described(NamedTuple):
+    """Facts about the daemon that a status repeats."""
+
+    bus: str
+    is_simulated: bool
+    axes: tuple[tuple[str, str], ...]
+    """Name and unit of each axis."""
+    period_s: float
+    epoch_offset_ns: int
+    """Epoch time minus monotonic time in ns."""
+
+
+class OperatorPort:
+    """The loop's end of the pipe. It observes the session that it serves.
+
+    ``actions`` has what the daemon does about requests that are not for the core, by the type of the request.
+    ``recording`` returns the path of the present recording, or None. ``clock_ns`` returns monotonic ns.
+    """
+
+    def __init__(
+        self,
+        pipe: socket.socket,
+        described: Described,
+        actions: Mapping[type[LoopCall], Action],
+        recording: Callable[[], str | None],
+        clock_ns: Callable[[], int],
+    ) -> None:
+        self._pipe = pipe
+        self._described = described
+        self._actions = actions
+        self._recording = recording
+        self._clock_ns = clock_ns
+        self._decoder = msgspec.msgpack.Decoder(Asked | Logged)
+        self._encode = msgspec.msgpack.Encoder().encode
+        self._cycle: Cycle | None = None
+        self._max_lateness_ns = 0
+        self._is_due = False
+        """True between the end of a period and the next call of ``serve``."""
+        self._is_open = True
+        self._dropped_in_row = 0
+        self._next_status = 0
+        """Number of the period from which on a status is sent."""
+
+    def log(self, entry: LogEntry) -> None:
+        """Pass on a log entry."""
+        time_ns = self._clock_ns() + self._described.epoch_offset_ns
+        self._send(Logged(LogLine(time_ns, int(entry.severity), entry.source, entry.text)))
+
+    def cycle(self, cycle: Cycle, _gateway: Gateway) -> None:
+        """Take a completed period."""
+        self._cycle = cycle
+        self._is_due = True
+        self._max_lateness_ns = max(self._max_lateness_ns, cycle.wake_ns - cycle.deadline_ns)
+
+    def serve(self, session: Session) -> None:
+        """Take the requests that wait, if a period has ended since the last call. Raises LinkError."""
+        if not self._is_due:
+            return
+        self._is_due = False
+        is_changed = self._take_requests(session)
+        cycle = self._cycle
+        if cycle is not None and (is_changed or cycle.number >= self._next_status):
+            self._next_status = cycle.number + STATUS_PERIODS
+            self._send(StatusNow(self._status(cycle, session.gateway)))
+            self._max_lateness_ns = 0
+        if self._dropped_in_row >= MAX_DROPPED_IN_ROW and self._is_open:
+            self._dropped_in_row = -(10**9)  # one report
+            session.note(
+                LogEntry(
+                    Severity.ERROR,
+                    "operation",
+                    "the socket process takes no messages: clients get no answers; the loop goes on",
+                )
+            )
+
+    def _take_requests(self, session: Session) -> bool:
+        """Take some requests. Return whether there were any."""
+        replies: list[Replied] = []
+        while self._is_open and len(replies) < MAX_REQUESTS_PER_PERIOD:
+            try:
+                data = self._pipe.recv(MAX_MESSAGE_BYTES)
+            except BlockingIOError:
+                break
+            except OSError:
+                data = b""
+            if not data:
+                self._close(session)
+                break
+            asked = self._decoder.decode(data)
+            if isinstance(asked, Logged):
+                line = asked.line
+                session.note(LogEntry(Severity(line.severity), line.source, line.text))
+                continue
+            accepted, text = self._operate(session, asked)
+            replies.append(Replied(asked.number, accepted, text))
+        if replies and self._cycle is not None:
+            # First the status, so that a client that asks for it after its reply sees the effect.
+            self._send(StatusNow(self._status(self._cycle, session.gateway)))
+        for reply in replies:
+            self._send(reply)
+        return bool(replies)
+
+    def _operate(self, session: Session, asked: Asked) -> Reply:
+        request = _core_request(asked.call)
+        if request is not None:
+            return session.operate(request, asked.asked_by, asked.prepared)
+        action = self._actions.get(type(asked.call))
+        if action is None:
+            return Reply(False, "this daemon does not know the request")
+        return action(asked.call, asked.asked_by)
+
+    def _status(self, cycle: Cycle, gateway: Gateway) -> Status:
+        described = self._described
+        return Status(
+            state=gateway.state.name.lower(),
+            fault=gateway.fault_reason,
+            readiness=gateway.readiness,
+            bus=described.bus,
+            is_simulated=described.is_simulated,
+            period=cycle.number,
+            period_s=described.period_s,
+            time_ns=cycle.wake_ns + described.epoch_offset_ns,
+            max_lateness_ms=self._max_lateness_ns / 1e6,
+            missed_periods=gateway.missed_periods,
+            rejected_frames=gateway.rejected_frames,
+            lost_samples=gateway.lost_samples,
+            recording=self._recording(),
+            axes=tuple(
+                _axis_status(name, unit, signals)
+                for (name, unit), signals in zip(described.axes, cycle.axes, strict=True)
+            ),
+        )
+
+    def _send(self, message: msgspec.Struct) -> None:
+        if not self._is_open:
+            return
+        try:
+            self._pipe.send(self._encode(message))
+        except OSError:
+            self._dropped_in_row += 1
+        else:
+            self._dropped_in_row = 0
+
+    def _close(self, session: Session) -> None:
+        """Go on without operators."""
+        self._is_open = False
+        session.note(
+            LogEntry(
+                Severity.ERROR,
+                "operation",
+                "the socket process has ended: no client can operate this daemon any more; the loop goes on, "
+                "and SIGTERM ends it",
+            )
+        )
+
+
+_TRIGGERS: dict[type[LoopCall], Trigger] = {
+    ArmCall: Trigger.ARM,
+    DisarmCall: Trigger.DISARM,
+    StartCall: Trigger.START,
+    StopCall: Trigger.STOP,
+    ResetCall: Trigger.RESET,
+}
+
+
+def _core_request(call: LoopCall) -> Request | None:
+    """Return the core's request, or None if the request is not for the core."""
+    match call:
+        case SetpointCall():
+            return SetpointRequest(call.axis, call.setpoint)
+        case ControllerCall():
+            return ControllerRequest(call.axis, call.name, call.document)
+        case JogCall():
+            return JogRequest(call.axis, call.offset_v, call.duration_s)
+    return _TRIGGERS.get(type(call))
+
+
+def _axis_status(name: str, unit: str, signals: AxisSignals) -> AxisStatus:
+    setpoint, position, error, output_v, command_v, *_ = signals
+    values = (v if math.isfinite(v) else None for v in (setpoint, position, error, output_v, command_v))
+    return AxisStatus(name, unit, *values)

@@ -1,0 +1,325 @@
+"""The server of the operator's socket: requests, limits and hostile clients, with a made-up loop."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from support.operation_bench import FACTS, MadeUpLoop, RawClient, served, status
+
+from hil.core.errors import OperationError, RequestRefusedError
+from hil.operation import server
+from hil.operation.client import connect
+from hil.operation.pipe import Replied
+from hil.operation.protocol import (
+    MAX_CONNECTIONS,
+    MAX_LINE_BYTES,
+    PROTOCOL,
+    VERSION,
+    ArmCall,
+    ControllerCall,
+    EventCall,
+    JogCall,
+    LoopCall,
+    RecordNewCall,
+    SetpointCall,
+    ShutdownCall,
+)
+from hil.shells.run_setup import SHIPPED_CONTROLLERS
+
+Bench = tuple[MadeUpLoop, Path]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with served(tmp_path) as made:
+        yield made
+
+
+def test_the_socket_is_for_its_owner_alone(bench: Bench) -> None:
+    _, path = bench
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert path.stat().st_uid == os.getuid()
+
+
+def test_a_client_is_greeted_with_protocol_and_version(bench: Bench) -> None:
+    with RawClient(bench[1]) as client:
+        assert client.read() == {"protocol": PROTOCOL, "version": VERSION, "hil": FACTS.hil}
+
+
+def test_a_request_is_answered_with_its_id_and_the_loops_words(bench: Bench) -> None:
+    loop, path = bench
+    loop.reply = lambda asked: Replied(asked.number, False, "not now")
+    with RawClient(path) as client:
+        client.read()
+        client.send(b'{"request": "arm", "id": 77}\n')
+        assert client.read() == {"id": 77, "accepted": False, "text": "not now"}
+    (asked,) = loop.asked
+    assert asked.call == ArmCall(id=77)
+    assert f"process {os.getpid()}" in asked.asked_by
+
+
+def test_the_client_sends_each_request(bench: Bench, tmp_path: Path) -> None:
+    loop, path = bench
+    loop.send_status()
+    document = (SHIPPED_CONTROLLERS / "ppid.json").read_text()
+    (tmp_path / "c.json").write_text(document)
+    with connect(path) as client:
+        for method in (client.arm, client.start, client.stop, client.disarm, client.reset):
+            assert method() == "done"
+        client.set_setpoint("vertical", 0.05)
+        client.set_setpoint("vertical", "hold")
+        client.set_controller("vertical", tmp_path / "c.json")
+        client.jog("rotation", -0.5, 0.2)
+        client.record_new()
+        client.record_stop()
+        assert client.status() == status()
+    kinds = [type(asked.call).__struct_config__.tag for asked in loop.asked]
+    assert kinds == [
+        *("arm", "start", "stop", "disarm", "reset"),
+        *("setpoint", "setpoint", "controller", "jog", "record new", "record stop"),
+    ]
+    calls: list[LoopCall] = [msgspec.structs.replace(asked.call, id=0) for asked in loop.asked]
+    assert calls[5:9] == [
+        SetpointCall(axis="vertical", setpoint="step:0.05@0"),
+        SetpointCall(axis="vertical", setpoint="hold"),
+        ControllerCall(axis="vertical", name="c.json", document=document),
+        JogCall(axis="rotation", offset_v=-0.5, duration_s=0.2),
+    ]
+
+
+def test_the_client_raises_the_daemons_refusal(bench: Bench) -> None:
+    loop, path = bench
+    loop.reply = lambda asked: Replied(asked.number, False, "arm refused in state offline")
+    with connect(path) as client, pytest.raises(RequestRefusedError, match="arm refused in state offline"):
+        client.arm()
+
+
+def test_there_is_no_status_before_the_first_period(bench: Bench) -> None:
+    with connect(bench[1]) as client, pytest.raises(RequestRefusedError, match="first period"):
+        client.status()
+
+
+def test_watching_yields_the_status_and_the_log_since_the_one_before(bench: Bench) -> None:
+    loop, path = bench
+    loop.send_log("before the watch")
+    loop.send_status()
+    with connect(path) as client:
+        client.record_new()  # so that the status has arrived
+        looks = client.watch(0.05)
+        assert next(looks) == status()
+        loop.send_log("during the watch")
+        loop.send_status(state="armed")
+        for look in looks:
+            if look.log:
+                assert [line.text for line in look.log] == ["during the watch"]
+                break
+        assert client.arm() == "done", "requests are possible meanwhile"
+
+
+def test_a_watch_ends_with_the_daemon(tmp_path: Path) -> None:
+    with served(tmp_path) as (loop, path):
+        loop.send_status()
+        with connect(path) as client:
+            client.arm()
+            looks = client.watch(0.05)
+            next(looks)
+    assert list(looks)[-1:] in ([], [status()])
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        ({"request": "controller", "axis": "elbow", "name": "c", "document": "{}"}, "no axis 'elbow'"),
+        ({"request": "controller", "axis": "verticl", "name": "c", "document": ""}, "did you mean vertical"),
+        ({"request": "controller", "axis": "vertical", "name": "c", "document": "{"}, "refused: c: "),
+        ({"request": "event", "text": "payload:3"}, "this daemon is on can7"),
+    ],
+)
+def test_what_needs_slow_checks_is_refused_before_the_loop(
+    bench: Bench, request_: dict[str, Any], words: str
+) -> None:
+    loop, path = bench
+    with RawClient(path) as client:
+        client.read()
+        client.send(json.dumps(request_).encode() + b"\n")
+        answer = client.read()
+    assert answer["accepted"] is False
+    assert words in answer["text"]
+    assert loop.asked == []
+
+
+@pytest.mark.parametrize(("axis", "name", "words"), [("rotation", "ppid", "but the axis is in rad")])
+def test_a_controller_that_does_not_fit_the_axis_is_refused(
+    bench: Bench, axis: str, name: str, words: str
+) -> None:
+    with connect(bench[1]) as client, pytest.raises(RequestRefusedError, match=words):
+        client.set_controller(axis, SHIPPED_CONTROLLERS / f"{name}.json")
+
+
+def test_an_event_is_checked_by_the_function_that_the_daemon_names(tmp_path: Path) -> None:
+    facts = msgspec.structs.replace(FACTS, event_check="hil.core.setpoints:parse_setpoint")
+    with served(tmp_path, facts) as (loop, path), connect(path) as client:
+        assert client.event("hold") == "done"
+        with pytest.raises(RequestRefusedError, match="nonsense"):
+            client.event("nonsense")
+    assert [type(asked.call) for asked in loop.asked] == [EventCall]
+
+
+GARBAGE = [
+    b"\n",
+    b"GET / HTTP/1.1\n",
+    b"\x00\xff\xfe\n",
+    b"{}\n",
+    b"[]\n",
+    b'{"request": "fly"}\n',
+    b'{"request": "arm", "please": true}\n',
+    b'{"request": "arm", "id": -1}\n',
+    b'{"request": "jog", "axis": "vertical", "offset_v": NaN, "duration_s": 1}\n',
+    b'{"request": "jog", "axis": "vertical", "offset_v": 1e999, "duration_s": 1}\n',
+    b'{"request": "jog", "axis": "vertical", "offset_v": 1, "duration_s": 0}\n',
+    b'{"request": "setpoint", "axis": "", "setpoint": "hold"}\n',
+    b'{"request": "watch", "interval_s": 1e-9}\n',
+    b"[" * 50_000 + b"\n",
+    b'{"a":' * 20_000 + b"\n",
+]
+
+
+@pytest.mark.parametrize("garbage", GARBAGE)
+def test_garbage_is_answered_once_and_ends_the_connection(bench: Bench, garbage: bytes) -> None:
+    loop, path = bench
+    with RawClient(path) as client:
+        client.read()
+        client.send(garbage)
+        answer = client.read()
+        assert answer["accepted"] is False
+        assert f"not a request of {PROTOCOL} version {VERSION}" in answer["text"]
+        assert client.read() == {}
+    with connect(path) as other:
+        assert other.arm() == "done"
+    assert len(loop.asked) == 1
+
+
+def test_an_endless_line_ends_the_connection_and_is_not_kept(bench: Bench) -> None:
+    with RawClient(bench[1]) as client:
+        client.read()
+        block = b"x" * 65536
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):
+            for _ in range(16_384):  # 1 GB
+                client.send(block)
+    with connect(bench[1]) as other:
+        assert other.arm() == "done"
+
+
+def test_surplus_connections_are_refused(bench: Bench) -> None:
+    _, path = bench
+    clients = [RawClient(path) for _ in range(MAX_CONNECTIONS)]
+    try:
+        for client in clients:
+            assert "protocol" in client.read()
+        for _ in range(200):
+            with RawClient(path) as surplus:
+                assert "the limit" in surplus.read()["text"]
+        with pytest.raises(OperationError, match=f"{MAX_CONNECTIONS} clients are connected"):
+            connect(path)
+    finally:
+        for client in clients:
+            client.close()
+
+
+def test_a_client_that_leaves_makes_room_for_another(bench: Bench) -> None:
+    for _ in range(3 * MAX_CONNECTIONS):
+        with connect(bench[1]) as client:
+            assert client.arm() == "done"
+
+
+def test_a_flood_has_one_request_under_way_at_a_time(bench: Bench) -> None:
+    loop, path = bench
+    loop.reply = lambda _asked: None
+    with RawClient(path) as flooding:
+        flooding.read()
+        flooding.send(b'{"request": "arm"}\n' * 1000)
+        with RawClient(path) as other:
+            other.read()
+            other.send(b'{"request": "stop"}\n')
+            while len(loop.asked) < 2:
+                loop.send_log("waiting")
+                other.socket.settimeout(0.01)
+                try:
+                    other.socket.recv(1)
+                except TimeoutError:
+                    continue
+    assert len(loop.asked) == 2
+
+
+def test_a_client_that_reads_nothing_is_disconnected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "WRITE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(server, "MAX_REQUESTS_PER_S", 1e6)
+    with served(tmp_path) as (loop, path):
+        loop.reply = lambda asked: Replied(asked.number, True, "x" * 20_000)
+        with RawClient(path) as client:
+            client.read()
+            client.send(b'{"request": "arm"}\n' * 100)
+            hung_up = select.poll()
+            hung_up.register(client.socket, select.POLLHUP)
+            assert hung_up.poll(20_000), "the server has disconnected"
+            answers = iter(client.read, {})
+            assert sum(1 for _ in answers) < 100
+
+
+def test_the_loop_that_takes_nothing_is_reported(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "REPLY_TIMEOUT_S", 0.05)
+    loop, path = bench
+    loop.reply = lambda _asked: None
+    with connect(path) as client, pytest.raises(RequestRefusedError, match="did not reply within"):
+        client.arm()
+
+
+def test_a_request_that_does_not_fit_a_line_is_not_sent(bench: Bench, tmp_path: Path) -> None:
+    long = tmp_path / "long.json"
+    long.write_text(" " * (MAX_LINE_BYTES + 1))
+    with connect(bench[1]) as client, pytest.raises(OperationError, match=f"limit {MAX_LINE_BYTES}"):
+        client.set_controller("vertical", long)
+
+
+def test_a_user_other_than_owner_and_root_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_CREDENTIALS", _Credentials((1, 4_000_000, 0)))
+    with served(tmp_path) as (_, path), pytest.raises(OperationError, match="user uid 4000000 may not"):
+        connect(path)
+
+
+class _Credentials:
+    size = 12
+
+    def __init__(self, peer: tuple[int, int, int]) -> None:
+        self._peer = peer
+
+    def unpack(self, _data: bytes) -> tuple[int, int, int]:
+        return self._peer
+
+
+def test_shutdown_waits_until_the_daemon_has_ended(tmp_path: Path) -> None:
+    with served(tmp_path) as (loop, path):
+
+        def reply(asked: Any) -> None:
+            loop.send(Replied(asked.number, True, "the daemon ends"))
+            loop.end.shutdown(2)
+
+        loop.reply = reply
+        with connect(path) as client:
+            assert client.shutdown() == "the daemon ends"
+    assert [type(asked.call) for asked in loop.asked] == [ShutdownCall]
+
+
+def test_record_new_is_one_request(bench: Bench) -> None:
+    loop, path = bench
+    with connect(path) as client:
+        client.record_new()
+    assert [type(asked.call) for asked in loop.asked] == [RecordNewCall]
