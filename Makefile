@@ -10,7 +10,7 @@ SOURCES_OF_INSTALL := pyproject.toml requirements.lock $(wildcard firmware_sim/a
 export OPENBLAS_NUM_THREADS = 1
 
 .SILENT:
-.PHONY: run test bench lock clean run-packages test-packages
+.PHONY: run test test-examples bench lock clean run-packages test-packages
 
 run: .venv/for-run
 	$(BIN)/hil run
@@ -23,6 +23,21 @@ test: .venv/for-test test-packages
 	$(BIN)/python -m pytest -q -n 2 tests/property
 	$(BIN)/hil vcan -- $(BIN)/python -m pytest -q tests/vcan
 	$(BIN)/python -m pytest -q tests/acceptance
+	$(MAKE) test-examples
+
+# Users' tests run where only the wheel is installed. Its dependencies are those of .venv: a .pth file makes
+# them visible, but not the editable install of this folder.
+test-examples: .venv/for-test test-packages
+	rm -rf build .venv/wheel
+	$(BIN)/pip wheel -qq --disable-pip-version-check --no-deps -w build/wheel .
+	$(PYTHON) -m venv --without-pip .venv/wheel
+	$(BIN)/pip --python .venv/wheel/bin/python install -qq --disable-pip-version-check --no-deps --no-index \
+		build/wheel/pneumatic_hil-*.whl
+	cd .venv/wheel/lib/python3*/site-packages && $(CURDIR)/$(BIN)/python -c \
+		'import sysconfig; print(sysconfig.get_path("purelib"))' >dependencies.pth
+	cd tests/examples && $(CURDIR)/.venv/wheel/bin/python -P -c \
+		'import hil; assert "/.venv/wheel/" in hil.__file__, hil.__file__'
+	cd tests/examples && $(CURDIR)/.venv/wheel/bin/python -P -m pytest -q
 
 # Each prints its figures beside a peer's, measured in the same run.
 bench: .venv/for-test
@@ -32,7 +47,7 @@ bench: .venv/for-test
 
 lock: .venv/for-test
 	$(BIN)/pip install --quiet pip-tools
-	$(BIN)/pip-compile --quiet --extra test --strip-extras --no-emit-index-url --no-emit-find-links \
+	$(BIN)/pip-compile --quiet --extra test --extra dev --strip-extras --no-emit-index-url --no-emit-find-links \
 		--no-emit-trusted-host --no-annotate --no-header -o requirements.lock pyproject.toml
 
 clean:
@@ -42,12 +57,12 @@ clean:
 
 .venv/for-run: $(SOURCES_OF_INSTALL) | run-packages
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install -qq --disable-pip-version-check -c requirements.lock -e .
+	$(BIN)/pip install -qq --disable-pip-version-check -c requirements.lock -e '.[test]'
 	touch $@
 
 .venv/for-test: $(SOURCES_OF_INSTALL) | run-packages
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install -qq --disable-pip-version-check -c requirements.lock -e '.[test]'
+	$(BIN)/pip install -qq --disable-pip-version-check -c requirements.lock -e '.[test,dev]'
 	touch $@ .venv/for-run
 
 # Install the Debian packages of programs that are missing.

@@ -59,6 +59,11 @@ def parser() -> CommandParser:
     command.add_argument("--drift", action="store_true", help="estimate a slow drift of the output")
     command.add_argument("--columns", default=COLUMNS, metavar="T,U,Y", help=f"columns (default {COLUMNS})")
     command.add_argument("--sample-time", type=number, metavar="S", help="sample time of a table in s")
+    command.add_argument(
+        "--input-held",
+        action="store_true",
+        help="in gaps of a table, the actuator kept its last input (default: the input there is unknown)",
+    )
     command.add_argument("--unit", choices=("m", "rad"), help="unit of y in a table (default m)")
     command.add_argument("--name", metavar="NAME", help="name of the plant (default: the axis)")
     command.add_argument("-o", "--output", type=Path, metavar="FILE", help="plant file")
@@ -128,6 +133,7 @@ def _read(options: argparse.Namespace) -> tuple[list[Record], list[Record]]:
                 columns=(columns[0], columns[1], columns[2]),
                 sample_time_s=options.sample_time,
                 unit=options.unit or "",
+                input_held_in_gaps=options.input_held,
             )
             for path in paths
         ]

@@ -70,8 +70,13 @@ def read_record(
     columns: tuple[str, str, str] = COLUMNS,
     sample_time_s: float | None = None,
     unit: str = "",
+    input_held_in_gaps: bool = False,
 ) -> Record:
-    """Read one record. Raises DocumentError naming the file and what is wrong with it."""
+    """Read one record. Raises DocumentError naming the file and what is wrong with it.
+
+    ``input_held_in_gaps`` states that the actuator kept its last input where a table has no row or no
+    input. In a recording, the gateway's own commands show what the valve held.
+    """
     match path.suffix.lower():
         case ".mcap":
             return _from_recording(path, axis)
@@ -85,7 +90,15 @@ def read_record(
             raise DocumentError(f"{path}: unknown kind of file; give a .mcap, .csv, .mat or .parquet file")
     time_s, u, y = table
     names = Names(columns[1], columns[2], "V", unit or "m")
-    gridded = from_time_stamps(time_s, u, y, sample_time_s=sample_time_s, name=path.name, names=names)
+    gridded = from_time_stamps(
+        time_s,
+        u,
+        y,
+        sample_time_s=sample_time_s,
+        name=path.name,
+        names=names,
+        input_held_in_gaps=input_held_in_gaps,
+    )
     expected = Expectations(sample_time_s=sample_time_s)
     return Record(gridded.experiment, unit, "", gridded.findings, expected, {}, _digest(path))
 

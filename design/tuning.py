@@ -7,11 +7,7 @@ that they go through the gateway exactly as those of a user.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import signal
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -25,7 +21,19 @@ from design.output.tuning_results import Model as Model
 from design.output.tuning_results import Tuning as Tuning
 from design.output.tuning_results import Verified as Verified
 from design.output.tuning_results import failures
-from hil.core.documents import Document, from_toml, to_json
+from design.tuning_experiments import (
+    PARTIAL,
+    collect_command,
+    run_experiment,
+    show,
+    start_position,
+    step_command,
+    step_setpoint,
+)
+from design.tuning_experiments import (
+    ExperimentError as ExperimentError,
+)
+from hil.core.documents import Document, from_json, from_toml, to_json
 from hil.core.errors import DocumentError, HilError
 from hil.host.text_file import read_text
 
@@ -38,14 +46,29 @@ SETTLING_FACTOR = 1.5
 """Without a design file, an infeasible settling time is lengthened by this factor…"""
 MAX_LENGTHENINGS = 4
 """… at most so many times. The report says which limit was used."""
-END_TIMEOUT_S = 10.0
-"""Time in which an experiment must end, valves centred, after it was interrupted."""
 MAX_VERIFICATIONS = 3
 """Controllers that are tried on the rig at most, each with a longer settling time than the one before."""
-SETTLE_S = 4.0
-"""Rest before the step of a verification, in s, besides one settling time."""
+DEFAULT_SETTLING_S = 2.0
+"""Settling time in s for which a step is recorded if the design file states none."""
 DEFAULT_STEP = {"m": 0.1, "rad": 0.5}
 """Size of the step of a verification, by the axis' unit. It lies symmetrically about the centre."""
+
+JOB_NAME = "tune.json"
+"""Document of the job in a results folder."""
+OPTIONS = {
+    "axis": "--axis",
+    "amplitude": "--amplitude",
+    "duration_s": "--duration",
+    "structure": "--structure",
+    "conditions": "--conditions",
+    "rig": "--rig",
+    "bus": "--bus",
+    "design": "--design",
+    "step": "--step",
+    "controller": "--controller",
+}
+"""Option of the command for each field of a job."""
+_OTHER_FOLDER = "another --out, or remove the folder"
 
 Say = Callable[[str], None]
 Ask = Callable[[str], None]
@@ -69,10 +92,6 @@ REAL_CONDITIONS = (
         name="repeat", instruction="Change nothing: this experiment shows how well the first one repeats."
     ),
 )
-
-
-class ExperimentError(HilError):
-    """An experiment on the rig failed, or did not give all that was asked for."""
 
 
 def read_conditions(path: Path) -> list[Condition]:
@@ -115,22 +134,58 @@ def check(job: Job) -> None:
 def claim_folder(directory: Path, job: Job) -> bool:
     """Make the results folder, or find that it belongs to the same job. Return whether work is resumed.
 
-    Raises DocumentError where it belongs to another job or holds other files.
+    A folder without a complete experiment is taken over. Raises DocumentError where the folder belongs to
+    another job, naming the options that differ, or holds other files.
     """
-    note = directory / "tune.json"
-    text = to_json(job)
+    note = directory / JOB_NAME
     if note.exists():
-        if note.read_text("utf-8") != text:
-            raise DocumentError(
-                f"{directory} holds the results of another tuning (see tune.json there); give another "
-                "--out, or remove the folder"
-            )
-        return True
-    if directory.exists() and any(directory.iterdir()):
+        found = _earlier_job(note)
+        if any(not path.name.startswith(PARTIAL) for path in directory.glob("*.mcap")):
+            _check_same_job(directory, found, job)
+            return True
+    elif directory.exists() and any(directory.iterdir()):
         raise DocumentError(f"{directory} is not empty and holds no tuning; give another --out")
     directory.mkdir(parents=True, exist_ok=True)
-    note.write_text(text, encoding="utf-8")
+    note.write_text(to_json(job), encoding="utf-8")
     return False
+
+
+def _earlier_job(note: Path) -> Job:
+    """Read the job of a results folder. Raises DocumentError."""
+    try:
+        return from_json(read_text(note), Job, str(note))
+    except DocumentError as error:
+        raise DocumentError(
+            f"{note.parent} holds the results of another tuning, whose options cannot be read: {error}; "
+            f"give {_OTHER_FOLDER}"
+        ) from None
+
+
+def _check_same_job(directory: Path, found: Job, job: Job) -> None:
+    """Raise DocumentError where a results folder belongs to another job, and say what differs."""
+    different = [
+        _difference(field, getattr(found, field), getattr(job, field))
+        for field in OPTIONS
+        if getattr(found, field) != getattr(job, field)
+    ]
+    different += [
+        f"{name} has other content now"
+        for name in found.digests.keys() & job.digests.keys()
+        if found.digests[name] != job.digests[name]
+    ]
+    if different:
+        raise DocumentError(
+            f"{directory} holds the results of another tuning: {'; '.join(different)}. Give the same "
+            f"options, or {_OTHER_FOLDER}"
+        )
+
+
+def _difference(field: str, before: object, now: object) -> str:
+    """Return how an option differs from that of an earlier call."""
+    if field == "conditions":
+        return "--conditions names other conditions"
+    before, now = ("not given" if value is None else value for value in (before, now))
+    return f"{OPTIONS[field]} was {before}, and is {now} now"
 
 
 def collect(job: Job, directory: Path, say: Say, ask: Ask) -> list[tuple[Condition, Path, Path]]:
@@ -140,12 +195,12 @@ def collect(job: Job, directory: Path, say: Say, ask: Ask) -> list[tuple[Conditi
         paths = [directory / f"{condition.name}-{seed}.mcap" for seed in (ESTIMATION_SEED, VALIDATION_SEED)]
         missing = [path for path in paths if not path.exists()]
         if missing and job.bus is not None:
-            _show([*_collect_command(job, condition, ESTIMATION_SEED), "--dry-run"])
+            show([*collect_command(job, condition, ESTIMATION_SEED), "--dry-run"])
             ask(f"Condition {condition.name}. {condition.instruction} Then {job.axis} will be excited.")
         for path, seed in zip(paths, (ESTIMATION_SEED, VALIDATION_SEED), strict=True):
             if path in missing:
                 say(f"{condition.name}: exciting {job.axis}, {job.duration_s:g} s, seed {seed}")
-                _experiment(path, _collect_command(job, condition, seed))
+                run_experiment(path, collect_command(job, condition, seed))
             else:
                 say(f"{condition.name}: {path.name} is there already")
         found.append((condition, paths[0], paths[1]))
@@ -255,7 +310,13 @@ def verify(
                 what = f"Then the new controller will step {job.axis}."
                 ask(f"Condition {condition.name}. {condition.instruction} {what}")
             say(f"{condition.name}: stepping {job.axis} with the new controller")
-            _experiment(path, _step_command(job, model, requirements, controller))
+            half = 0.5 * (job.step if job.step is not None else DEFAULT_STEP[model.plant.output_unit])
+            settling_s = requirements.specifications.settling_s or DEFAULT_SETTLING_S
+            setpoint = directory / f"{condition.name}-step.csv"
+            start = start_position(job, condition, directory)
+            low, high = condition.centre - half, condition.centre + half
+            setpoint.write_text(step_setpoint(start, low, high, settling_s), encoding="utf-8")
+            run_experiment(path, step_command(job, condition, controller, setpoint, settling_s))
         measured = summarise(open_recording(path)).axes[job.axis]
         if not isinstance(measured, StepResponse):
             raise HilError(f"{path}: no step response of {job.axis} can be read from it")
@@ -272,102 +333,3 @@ def default_design() -> DesignFile:
 
 def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()[:8]
-
-
-def _collect_command(job: Job, condition: Condition, seed: int) -> list[str]:
-    return [
-        "collect",
-        "--axis",
-        job.axis,
-        "--amplitude",
-        repr(job.amplitude),
-        "--duration",
-        repr(job.duration_s),
-        f"--centre={condition.centre!r}",
-        "--seed",
-        str(seed),
-        *([] if job.controller is None else ["--controller", f"{job.axis}={job.controller}"]),
-        *_where(job, condition),
-    ]
-
-
-def _step_command(job: Job, model: Model, requirements: DesignFile, controller: Path) -> list[str]:
-    from hil.shells.run_setup import load_rig
-
-    axes = load_rig(job.rig).axes
-    half = 0.5 * (job.step if job.step is not None else DEFAULT_STEP[model.plant.output_unit])
-    settling = requirements.specifications.settling_s or 2.0
-    low, high = model.condition.centre - half, model.condition.centre + half
-    rest_s = round(SETTLE_S + settling, 3)
-    setpoints = [f"{job.axis}=ladder:{low!r},{high!r}@0/{rest_s!r}"]
-    setpoints += [f"{name}=hold" for name in axes if name != job.axis]
-    return [
-        "run",
-        "--controller",
-        f"{job.axis}={controller}",
-        "--duration",
-        repr(round(rest_s + 3.0 * settling + 2.0, 3)),
-        *(part for setpoint in setpoints for part in ("--setpoint", setpoint)),
-        *_where(job, model.condition),
-    ]
-
-
-def _where(job: Job, condition: Condition) -> list[str]:
-    """Return the options that choose rig and bus."""
-    rig = [] if job.rig is None else ["--rig", job.rig]
-    if job.bus is None:
-        return [*rig, "--lockstep", *(part for event in condition.events for part in ("--event", event))]
-    return [*rig, "--bus", job.bus]
-
-
-def _experiment(path: Path, command: list[str]) -> None:
-    """Run a command that writes a recording, under a temporary name until it is complete.
-
-    Raises HilError with what the command said where it failed.
-    """
-    partial = path.with_name(f"partial-{path.name}")
-    plot = partial.with_suffix(".png")
-    for left in (partial, plot):
-        left.unlink(missing_ok=True)
-    target = ["-o" if command[0] == "collect" else "--record", str(partial)]
-    yes = ["--yes"] if command[0] == "collect" else []
-    status, said = _run([*command, *target, *yes], captured="--lockstep" in command)
-    if status != 0:
-        raise ExperimentError(
-            f"`hil {' '.join(command)}` ended with exit status {status}; its recording is {partial}"
-            + (f":\n{said}" if said else "")
-        )
-    if plot.exists():
-        plot.rename(path.with_suffix(".png"))
-    partial.rename(path)
-
-
-def _show(command: list[str]) -> None:
-    """Run a command that moves nothing, with its output on the terminal. Raises ExperimentError."""
-    status, _ = _run(command, captured=False)
-    if status != 0:
-        raise ExperimentError(
-            f"`hil {' '.join(command)}` failed with exit status {status}; nothing was moved"
-        )
-
-
-def _run(command: list[str], *, captured: bool) -> tuple[int, str]:
-    """Run a command of hil. Return its exit status and what it said, if that was captured.
-
-    If this program is interrupted or terminated, the command is ended first, so that it centres the valves.
-    """
-    # -P: modules in the working directory are not imported.
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "hil.cli", *command],
-        stdout=subprocess.PIPE if captured else None,
-        stderr=subprocess.PIPE if captured else None,
-        text=True,
-    )
-    try:
-        out, err = process.communicate()
-    except BaseException:
-        process.send_signal(signal.SIGINT)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.communicate(timeout=END_TIMEOUT_S)
-        raise
-    return process.returncode, (err or out or "").strip()

@@ -13,8 +13,7 @@ from pathlib import Path
 from firmware_sim.plant_options import add_plant_options
 from firmware_sim.plants.plant import Plant
 from firmware_sim.realtime import Bus, Watch, simulate
-from firmware_sim.simulated_plant import build_plant
-from firmware_sim.simulated_rig import SimulatedRig
+from firmware_sim.simulated_plant import build_boards, build_plant, refuse_host_faults
 from hil import __version__
 from hil.core.errors import DocumentError, EnvironmentLackError, HilError
 from hil.core.rig import Rig, read_rig
@@ -35,7 +34,9 @@ def main(argv: list[str] | None = None) -> int:
         if options.parent_pid is not None:
             _die_with(options.parent_pid)
         rig = _read_rig(options.rig)
+        refuse_host_faults(options)
         plant, plant_text = build_plant(rig, options)
+        boards = build_boards(rig, plant, options)
         if options.watch and (options.linear or options.plant):
             raise DocumentError(
                 "--watch shows the pneumatic arm and no linear model; omit it, or omit --linear and --plant"
@@ -47,7 +48,7 @@ def main(argv: list[str] | None = None) -> int:
         try:
             print(_description(rig, plant_text, spec), flush=True)
             _take_priority()
-            simulate(SimulatedRig(rig, plant), bus, _watch(plant) if options.watch else None)
+            simulate(boards, bus, _watch(plant) if options.watch else None)
         except HilError as error:
             return _report(error, 1)
     return 0

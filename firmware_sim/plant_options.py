@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from firmware_sim.arm.event_text import FORMS, parse_event
+from firmware_sim.faults.fault_text import FORMS as FAULT_FORMS
+from firmware_sim.faults.fault_text import WHEN_FORMS, parse_fault
 from hil.core.errors import DocumentError
 
 
 def add_plant_options(parser: argparse.ArgumentParser) -> None:
-    """Add ``--arm``, ``--linear``, ``--plant``, ``--scenario``, ``--event`` and ``--seed``."""
+    """Add ``--arm``, ``--linear``, ``--plant``, ``--scenario``, ``--event``, ``--fault`` and ``--seed``."""
     base = parser.add_mutually_exclusive_group()
     base.add_argument(
         "--arm",
@@ -41,7 +43,20 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
         help=f"let something happen to the arm S seconds after the first sample; may be repeated: {FORMS}",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="seed of the potentiometers' noise (default: 0)"
+        "--fault",
+        action="append",
+        default=[],
+        metavar="FAULT",
+        help="let something go wrong with frames, boards, sensors or valves, such as lose:sample,5@2; may be "
+        f"repeated. The time is {WHEN_FORMS}. FRAME is sample, command, sync, …; AMOUNT is a number of "
+        f"frames, or a share such as 10%%. {FAULT_FORMS}",
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="seed of the potentiometers' noise and of random faults (default: 0)",
     )
 
 
@@ -53,6 +68,8 @@ def check_plant_options(options: argparse.Namespace) -> None:
                 f"--{name} is for the pneumatic arm; the linear model of --linear has nothing that it could "
                 f"change. Omit --{name} or --linear"
             )
+    for text in options.fault:
+        parse_fault(text)
     named = named_plants(options.plant)
     for text in options.event:
         axis = getattr(parse_event(text), "axis", None)
@@ -77,7 +94,7 @@ def named_plants(given: Sequence[str]) -> dict[str, str]:
 
 def given_plant_options(options: argparse.Namespace) -> list[str]:
     """Return the names of the given options that only a simulation has; ``--scenario`` is not one of them."""
-    return [f"--{name}" for name in ("arm", "linear", "plant", "event") if getattr(options, name)]
+    return [f"--{name}" for name in ("arm", "linear", "plant", "event", "fault") if getattr(options, name)]
 
 
 def plant_arguments(options: argparse.Namespace) -> list[str]:
@@ -89,7 +106,7 @@ def plant_arguments(options: argparse.Namespace) -> list[str]:
         value = getattr(options, name)
         if value is not None:
             arguments += [f"--{name}", str(value)]
-    for name in ("plant", "event"):
+    for name in ("plant", "event", "fault"):
         for text in getattr(options, name):
             arguments += [f"--{name}", text]
     return arguments

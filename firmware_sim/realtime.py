@@ -5,6 +5,7 @@ from __future__ import annotations
 from time import monotonic_ns, time_ns
 from typing import TYPE_CHECKING, Protocol
 
+from firmware_sim.faulty_rig import FaultyRig
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.frames import Frame
 
@@ -31,7 +32,7 @@ class Watch(Protocol):
     def update(self, now_ns: int) -> None: ...  # noqa: D102
 
 
-def simulate(rig: SimulatedRig, bus: Bus, watch: Watch | None = None) -> None:
+def simulate(rig: SimulatedRig | FaultyRig, bus: Bus, watch: Watch | None = None) -> None:
     """Power the boards on and run them until an exception is raised.
 
     A frame is handled at the instant of its arrival, and before any deadline after that instant. This process

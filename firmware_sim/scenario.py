@@ -24,6 +24,7 @@ from typing import Annotated
 import msgspec
 
 from firmware_sim.arm.events import AnyEvent
+from firmware_sim.faults.kinds import AnyFault
 from hil.core.documents import Document, from_toml
 from hil.core.errors import DocumentError
 
@@ -46,6 +47,8 @@ class Scenario(Document, frozen=True):
     """Axes that the figure of the run shows; all axes if empty."""
     events: list[AnyEvent] = msgspec.field(default_factory=list)
     """Events that happen to the arm, in any order."""
+    faults: list[AnyFault] = msgspec.field(default_factory=list)
+    """Faults of frames, bus, boards, sensors, valves and host; ``firmware_sim.faults.kinds`` lists them."""
 
 
 def check_axes(scenario: Scenario, axes: Iterable[str], source: str) -> None:

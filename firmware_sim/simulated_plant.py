@@ -15,10 +15,14 @@ from firmware_sim.arm.arm_file import read_arm, shipped_arm_text
 from firmware_sim.arm.event_text import event_text, parse_event
 from firmware_sim.arm.events import AnyEvent
 from firmware_sim.arm.wiring import Wires, wiring
+from firmware_sim.faults.fault_text import fault_text, parse_fault
+from firmware_sim.faults.kinds import AnyFault, HostFault
+from firmware_sim.faulty_rig import FaultyRig
 from firmware_sim.plant_files import AxisPlant, read_axis_plants
 from firmware_sim.plant_options import check_plant_options, named_plants
 from firmware_sim.plants.plant import Plant
 from firmware_sim.scenario import Scenario, find_scenario, read_scenario
+from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.errors import DocumentError
 from hil.core.rig import Rig
 from hil.host.text_file import read_text
@@ -57,9 +61,8 @@ def plant_texts(rig: Rig, options: argparse.Namespace) -> dict[str, str]:
     """Return the documents that describe the plant, by file name, for a recording. A run can be repeated with
     them.
 
-    - ``plant.json``: model, seed, events of the command line and axes of ``--plant`` (both separated by
-    spaces), all
-      as strings.
+    - ``plant.json``: model, seed, events of the command line, faults and axes of ``--plant`` (each separated
+      by spaces), all as strings.
     - ``arm.toml``: the arm, if it is simulated.
     - ``plants/<axis>.json``: the plant file of an axis.
     - ``scenario.toml``: the scenario, if one is given.
@@ -74,6 +77,9 @@ def plant_texts(rig: Rig, options: argparse.Namespace) -> dict[str, str]:
         read_arm(arm_text, str(options.arm or SHIPPED_ARM))
         facts |= {"model": "pneumatic arm", "events": " ".join(options.event)}
         texts["arm.toml"] = arm_text
+    faults = planned_faults(options)
+    if faults:
+        facts["faults"] = " ".join(map(fault_text, faults))
     if choice.plants:
         facts["plants"] = " ".join(choice.plants)
         texts |= {f"plants/{axis}.json": plant.text for axis, plant in choice.plants.items()}
@@ -83,9 +89,36 @@ def plant_texts(rig: Rig, options: argparse.Namespace) -> dict[str, str]:
 
 
 def planned_events(options: argparse.Namespace) -> dict[str, float]:
-    """Return the events of scenario and command line by time: text to seconds after the first sample."""
-    events = _events(_scenario(options), options)
-    return {event_text(event): event.at_s for event in sorted(events, key=lambda event: event.at_s)}
+    """Return events and faults of scenario and command line: text to seconds after the first sample.
+
+    Faults that wait for a condition are not among them.
+    """
+    planned = {event_text(event): event.at_s for event in _events(_scenario(options), options)}
+    planned |= {fault_text(fault): fault.at_s for fault in planned_faults(options) if not fault.when}
+    return dict(sorted(planned.items(), key=lambda item: item[1]))
+
+
+def build_boards(rig: Rig, plant: Plant, options: argparse.Namespace) -> SimulatedRig | FaultyRig:
+    """Return the boards before ``plant``, with the faults that ``options`` choose. Raises DocumentError."""
+    boards = SimulatedRig(rig, plant)
+    faults = planned_faults(options)
+    return FaultyRig(rig, boards, faults, seed=options.seed) if faults else boards
+
+
+def planned_faults(options: argparse.Namespace) -> list[AnyFault]:
+    """Return the faults of scenario and command line, in this order. Raises DocumentError."""
+    scenario = _scenario(options)
+    return [*(scenario.faults if scenario else ()), *map(parse_fault, options.fault)]
+
+
+def refuse_host_faults(options: argparse.Namespace) -> None:
+    """Raise DocumentError for faults of the gateway's host, which real time does not have."""
+    for fault in planned_faults(options):
+        if isinstance(fault, HostFault):
+            raise DocumentError(
+                f"fault {fault_text(fault)!r} acts on the gateway's host in simulated time only; use hil run "
+                "--lockstep, or omit the fault"
+            )
 
 
 @dataclass(frozen=True)

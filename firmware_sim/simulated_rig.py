@@ -16,7 +16,9 @@ from firmware_sim.boards.adc import AdcBoard
 from firmware_sim.boards.canopen_slave import NEVER, Frames, SlaveState
 from firmware_sim.boards.codec import SYNC_ID
 from firmware_sim.boards.dac import DacBoard, Volts
-from firmware_sim.plants.plant import Plant
+from firmware_sim.boards.input_frames import Contacts
+from firmware_sim.faults.wires import Wires
+from firmware_sim.plants.plant import EMERGENCY_STOP, ENABLE_SWITCH, HasContacts, Plant
 from hil.core.frames import Frame
 from hil.core.rig import Rig
 
@@ -36,10 +38,16 @@ class SimulatedRig:
     ) -> None:
         self.plant = plant
         self.adc = AdcBoard(
-            rig, plant.potentiometer_v, resolution_bits=resolution_bits, heartbeat_ns=heartbeat_ns
+            rig,
+            self._potentiometer_v,
+            resolution_bits=resolution_bits,
+            heartbeat_ns=heartbeat_ns,
+            contacts=self._contacts,
         )
         self.dac = DacBoard(rig, self._drive, resolution_bits=resolution_bits, heartbeat_ns=heartbeat_ns)
         self._held_v: Sequence[float] = self.dac.valve_v
+        self.wires: Wires | None = None
+        """Faulty wires between pins and plant; None for good ones."""
         self._plant_ns = NEVER
         self._max_advance_ns = heartbeat_ns
 
@@ -81,13 +89,23 @@ class SimulatedRig:
             self._advance(now_ns)
         return frames
 
+    def _contacts(self) -> Contacts:
+        plant = self.plant
+        opened = plant.open_contacts if isinstance(plant, HasContacts) else ()
+        return Contacts(EMERGENCY_STOP not in opened, ENABLE_SWITCH not in opened)
+
     def _drive(self, valve_v: Volts, now_ns: int) -> None:
         self._plant_ns = min(self._plant_ns, now_ns)
         self._advance(now_ns)
         self._held_v = valve_v
 
+    def _potentiometer_v(self) -> Sequence[float]:
+        volts = self.plant.potentiometer_v()
+        return volts if self.wires is None else self.wires.sensed_v(volts, self._plant_ns)
+
     def _advance(self, now_ns: int) -> None:
         duration_ns = now_ns - self._plant_ns
         if duration_ns > 0:
             self._plant_ns = now_ns
-            self.plant.advance(duration_ns, self._held_v)
+            held_v = self._held_v if self.wires is None else self.wires.driven_v(self._held_v, duration_ns)
+            self.plant.advance(duration_ns, held_v)

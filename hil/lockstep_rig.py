@@ -17,12 +17,15 @@ from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import AxisSignals, Cycle, LogEntry, Output
 from hil.core.requests import Reply, Request
+from hil.shells.journal import Journal
 from hil.shells.lockstep import Lockstep
 from hil.shells.run_setup import load_setup
 
 if TYPE_CHECKING:
+    from firmware_sim.faults.kinds import AnyFault
     from firmware_sim.plants.plant import Plant
     from hil.recording.reader import Recording
+    from hil.recording.tables import AxisTable
 
 MAX_BRING_UP_PERIODS = 500
 """Periods in which the boards and their samples must become good."""
@@ -51,26 +54,33 @@ class LockstepRig:
         controllers: Mapping[str, str] | None = None,
         setpoints: Mapping[str, str] | None = None,
         plant: Plant | None = None,
+        faults: Iterable[AnyFault | str] = (),
         seed: int = 0,
     ) -> None:
         """Build the rig of a rig file, or of the shipped one.
 
         ``controllers`` (shipped names or files) and ``setpoints`` (such as ``step:0.1@1``) are given by axis
         and replace those of the rig file. ``plant`` is what the boards are wired to: by default the pneumatic
-        arm, with ``seed`` for the noise of its potentiometers. Raises DocumentError or SetpointError.
+        arm, with ``seed`` for the noise of its potentiometers. ``faults`` are texts such as
+        ``lose:sample,5@2``, or documents of ``firmware_sim.faults.kinds``; their times count from the first
+        sample. Raises DocumentError or SetpointError.
         """
         from firmware_sim.arm.arm import Arm
         from firmware_sim.arm.arm_file import shipped_arm
         from firmware_sim.arm.wiring import wiring
+        from firmware_sim.faulty_rig import FaultyRig
         from firmware_sim.simulated_rig import SimulatedRig
 
-        setup = load_setup(None if rig is None else Path(rig), controllers or {}, setpoints or {})
+        self._setup = setup = load_setup(
+            None if rig is None else Path(rig), controllers or {}, setpoints or {}
+        )
         self.rig = setup.rig
         if plant is None:
             plant = Arm(shipped_arm(), seed=seed, wiring=wiring(setup.rig))
         self.boards = SimulatedRig(setup.rig, plant)
         """The simulated boards. Their ``adc.faults`` and ``dac.faults`` can be set at any time."""
-        self._lockstep = Lockstep(self.boards, 0)
+        self._faulty = FaultyRig(setup.rig, self.boards, faults, seed=seed)
+        self._lockstep = Lockstep(self._faulty, 0, self._faulty.host)
         self._side = _Side(setup.gateway(setup.rig.loop.period_ns), self._lockstep)
         self._lockstep.begin(self._side)
 
@@ -105,6 +115,11 @@ class LockstepRig:
         return self._side.sent
 
     @property
+    def faults_begun(self) -> list[tuple[int, str]]:
+        """Time in nanoseconds and text of each fault of the fault library that has begun."""
+        return self._faulty.begun
+
+    @property
     def signals(self) -> dict[str, AxisSignals]:
         """Signals of each axis in the last period, by axis name; empty before the first period."""
         return dict(zip(self.rig.axes, self.cycles[-1].axes, strict=True)) if self.cycles else {}
@@ -114,6 +129,16 @@ class LockstepRig:
         for _ in range(periods):
             while not self._lockstep.step(self._side):
                 pass
+
+    def run(self, duration_s: float) -> None:
+        """Advance by a time in seconds, rounded to whole periods."""
+        self.step(round(duration_s / self.rig.loop.period_s))
+
+    def axis(self, name: str) -> AxisTable:
+        """Return the signals of an axis so far, one row for each period, as ``Recording.axis`` does."""
+        from hil.lockstep_tables import axis_table
+
+        return axis_table(self.rig, self.cycles, name)
 
     def bring_up(self) -> None:
         """Advance until the boards and their samples are good. Raises HilError if they are not in time."""
@@ -149,10 +174,37 @@ class LockstepRig:
         """Put a frame of another node on the bus now. The gateway and the boards receive it."""
         self._lockstep.deliver(self._side, frame)
 
+    def inject_fault(self, fault: AnyFault | str) -> None:
+        """Let a fault begin, such as ``lose:sample,5@0`` or ``hang:adc@vertical>0.05``.
+
+        Its time counts from now. Raises DocumentError.
+        """
+        self._lockstep.deliver_from_boards(self._side, self._faulty.inject(fault, self.now_ns))
+
+    def save_recording(self, path: str | os.PathLike[str]) -> Recording:
+        """Write everything so far as a recording, which ``hil replay`` verifies, and open it.
+
+        Raises RecordingExistsError if ``path`` exists.
+        """
+        from hil.recording.reader import Recording
+        from hil.recording.recorder import FAULTS_BEGUN
+
+        gateway = self.gateway
+        ending = {
+            "reason": "fault" if gateway.state is LifeCycleState.FAULT else "completed",
+            "fault": gateway.fault_reason or "",
+            "rejected frames": str(gateway.rejected_frames),
+            "lost samples": str(gateway.lost_samples),
+            "error frames": str(gateway.error_frames),
+        }
+        begun = self._faulty.begun_by_time()
+        metadata = {"ending": ending} | ({FAULTS_BEGUN: begun} if begun else {})
+        self._side.journal.save(Path(path), self._setup, metadata)
+        return Recording(path)
+
     def operate(self, request: Request) -> Reply:
         """Give the gateway an operator's request, such as a change of a setpoint, and return its reply."""
-        output = self.gateway.operate(request, self.now_ns)
-        self._side.take(output)
+        output = self._side.operate(request, self.now_ns)
         assert output.reply is not None
         return output.reply
 
@@ -171,20 +223,30 @@ class _Side:
         self.log: list[LogEntry] = []
         self.cycles: list[Cycle] = []
         self.sent: list[Frame] = []
+        self.journal = Journal()
 
     def receive(self, frame: Frame, now_ns: int, stamp_ns: int) -> None:
-        self.take(self.gateway.receive(frame, now_ns))
+        self.journal.frame_received(frame, now_ns, stamp_ns)
+        self._take(self.gateway.receive(frame, now_ns), now_ns)
 
     def on_deadline(self, now_ns: int) -> None:
-        self.take(self.gateway.on_deadline(now_ns))
+        self.journal.deadline_called(self.gateway.next_deadline_ns, now_ns)
+        self._take(self.gateway.on_deadline(now_ns), now_ns)
 
-    def take(self, output: Output) -> None:
+    def operate(self, request: Request, now_ns: int) -> Output:
+        self.journal.operated(request, now_ns)
+        output = self.gateway.operate(request, now_ns)
+        self._take(output, now_ns)
+        return output
+
+    def _take(self, output: Output, now_ns: int) -> None:
         for frame in output.frames:
             self.sent.append(frame)
             self._lockstep.send(frame)
         self.log.extend(output.log)
         if output.cycle is not None:
             self.cycles.append(output.cycle)
+        self.journal.answered(output, now_ns)
 
 
 def run_experiment(

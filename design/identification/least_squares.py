@@ -28,6 +28,25 @@ def triangle(columns: Array) -> Array:
     return np.asarray(np.linalg.qr(columns.T, mode="r"))
 
 
+def triangles(blocks: Array) -> Array:
+    """Return R (s, min(m, k), k) of the QR factorisation of s matrices, given by their columns (s, k, m)."""
+    if len(blocks) == 1:
+        return triangle(blocks[0])[None]
+    return np.asarray(np.linalg.qr(blocks.swapaxes(-1, -2), mode="r"))
+
+
+def solved_each(rows: Array, right: Array) -> Array:
+    """Return the least-squares solutions (s, n, r) of s small systems (s, m, n) with right sides (s, m, r).
+
+    See :func:`solved`, which is used for one system.
+    """
+    if len(rows) == 1:
+        return solved(rows[0], right[0])[None]
+    scale = np.linalg.norm(rows, axis=1, keepdims=True)
+    scale[scale < _WITHOUT_EFFECT] = np.inf
+    return np.asarray(np.linalg.pinv(rows / scale, rcond=1e-13) @ right / scale.swapaxes(-1, -2))
+
+
 def solved(rows: Array, right: Array) -> Array:
     """Return the least-squares solution, of least norm where the rows (m, k) do not determine it.
 

@@ -190,7 +190,7 @@ def _measured_cell(verified: Verified, reading: MeasuredReading | None) -> _Cell
     label = f"measured, {verified.condition.name}"
     if reading is None:
         return _Cell(label, "–", _SOFT)
-    return _cell(label, reading.quantity, reading.value, reading.met, reading.is_judged)
+    return _cell(label, reading.quantity, reading.value, reading.met, is_judged=True)
 
 
 def _cell(label: str, quantity: str, value: float, met: bool, is_judged: bool) -> _Cell:

@@ -36,11 +36,11 @@ LABELS = {
     "disturbance_peak": "disturbance gain",
 }
 """Names of the specifications in words."""
-NOT_JUDGED = ("error",)
-"""Names of the measured specifications that are shown and not judged.
+MEASURED_ERROR_ALLOWANCE = 0.01
+"""Share of the step by which a measured steady-state error may exceed the specified limit.
 
 The specified error is that of the linear loop as t goes to infinity. A measured one contains the friction
-that holds the axis, and the resolution of the potentiometer.
+that holds the axis, and the resolution of the potentiometer. The allowance is half of the settling band.
 """
 
 
@@ -92,6 +92,9 @@ class MeasuredReading:
     value: float
     """In the unit of the specification; infinite for a step that did not settle."""
     limit: float
+    """Limit that the measured value is judged by."""
+    specified: float
+    """Limit of the design file. That of the steady-state error is smaller than ``limit``."""
 
     @property
     def met(self) -> bool:
@@ -99,9 +102,9 @@ class MeasuredReading:
         return self.value <= self.limit
 
     @property
-    def is_judged(self) -> bool:
-        """True if the verification fails where the value is over the limit."""
-        return self.quantity not in NOT_JUDGED
+    def uses_allowance(self) -> bool:
+        """True if the value is over the specified limit, and not over the one that it is judged by."""
+        return self.met and self.value > self.specified
 
     def __str__(self) -> str:
         value, limit = value_text(self.quantity, self.value), value_text(self.quantity, self.limit)
@@ -197,7 +200,12 @@ def measured_readings(measured: StepResponse, design_file: DesignFile) -> tuple[
         "error": abs(measured.steady_state_error) / size,
     }
     return tuple(
-        MeasuredReading(s.quantity, values[s.quantity], s.limit)
+        MeasuredReading(
+            s.quantity,
+            values[s.quantity],
+            s.limit + (MEASURED_ERROR_ALLOWANCE if s.quantity == "error" else 0.0),
+            s.limit,
+        )
         for s in design_file.specifications.requested()
         if s.quantity in MEASURED
     )
@@ -206,7 +214,7 @@ def measured_readings(measured: StepResponse, design_file: DesignFile) -> tuple[
 def failures(measured: StepResponse, design_file: DesignFile) -> tuple[str, ...]:
     """Return the judged specifications that a measured step does not meet, in words."""
     read = measured_readings(measured, design_file)
-    return tuple(str(reading) for reading in read if reading.is_judged and not reading.met)
+    return tuple(str(reading) for reading in read if not reading.met)
 
 
 def value_text(quantity: str, value: float) -> str:

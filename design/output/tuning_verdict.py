@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from design.output.tuning_results import LABELS, Tuning, measured_readings, value_text
+from design.output.tuning_results import (
+    LABELS,
+    MEASURED_ERROR_ALLOWANCE,
+    Tuning,
+    measured_readings,
+    value_text,
+)
 
 
 class Outcome(Enum):
@@ -32,7 +38,7 @@ def verdict(tuning: Tuning) -> list[Statement]:
         _prediction(tuning),
         _measurement(tuning),
         *_relaxed(tuning),
-        *_not_judged(tuning),
+        *_allowed_error(tuning),
     ]
 
 
@@ -101,19 +107,20 @@ def _relaxed(tuning: Tuning) -> list[Statement]:
     ]
 
 
-def _not_judged(tuning: Tuning) -> list[Statement]:
+def _allowed_error(tuning: Tuning) -> list[Statement]:
     over = [
         f"{verified.condition.name} {value_text(reading.quantity, reading.value)}"
         for verified in tuning.verified
         for reading in measured_readings(verified.measured, tuning.design_file)
-        if not reading.is_judged and not reading.met
+        if reading.uses_allowance
     ]
     if not over:
         return []
+    allowance = value_text("error", MEASURED_ERROR_ALLOWANCE)
     return [
         Statement(
-            f"The measured steady-state error is over its limit ({', '.join(over)}). It is not judged: the "
-            "limit is for the linear loop after a long time, and a measured error contains friction and the "
+            f"The measured steady-state error is over the limit for the linear loop ({', '.join(over)}), and "
+            f"within the {allowance} of the step that are allowed besides for friction and for the "
             "resolution of the sensor.",
             Outcome.CAUTION,
         )

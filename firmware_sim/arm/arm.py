@@ -22,6 +22,8 @@ from firmware_sim.arm import native
 from firmware_sim.arm.events import (
     AnyEvent,
     BrokenWire,
+    EmergencyStop,
+    EnableSwitch,
     FrictionFactor,
     Leak,
     Payload,
@@ -39,6 +41,7 @@ from firmware_sim.arm.parameters import (
 )
 from firmware_sim.arm.pins import PotentiometerOutput, ValveInput
 from firmware_sim.arm.wiring import STRAIGHT, Wires
+from firmware_sim.plants.plant import EMERGENCY_STOP, ENABLE_SWITCH
 from hil.core.errors import SimulationError
 
 REST_V: Final = (5.0, 5.0, 5.0)
@@ -124,6 +127,8 @@ class Arm:
         self._agenda: list[tuple[int, int, Callable[[], None]]] = []
         self._scheduled_count = 0
         self._reading: Sequence[float] | None = None
+        self.open_contacts: set[str] = set()
+        """Names of the contacts beside the arm that are open (``firmware_sim.plants.plant.HasContacts``)."""
         self.time_ns = -REST_NS
         """The arm's own time: 0 when the arm has settled and the simulation starts."""
         self.advance(REST_NS, REST_V)
@@ -201,7 +206,7 @@ class Arm:
             ]
             if potentiometer.broken:
                 texts.append(f"{name}: wire broken")
-        return texts
+        return texts + [f"{name} open" for name in sorted(self.open_contacts)]
 
     def apply(self, event: AnyEvent) -> None:
         """Let an event happen now, whatever its ``at_s`` is."""
@@ -220,7 +225,14 @@ class Arm:
                 self.conditions.axis[AXES.index(name)].spool_free = 0.0 if stuck else 1.0
             case BrokenWire(axis=name, broken=broken):
                 self._potentiometers[AXES.index(name)][0].broken = broken
+            case EmergencyStop(button=button):
+                self._set_contact(EMERGENCY_STOP, button == "pressed")
+            case EnableSwitch(switch=switch):
+                self._set_contact(ENABLE_SWITCH, switch == "released")
         self._reading = None
+
+    def _set_contact(self, name: str, is_open: bool) -> None:
+        (self.open_contacts.add if is_open else self.open_contacts.discard)(name)
 
     def _schedule(self, due_ns: int, action: Callable[[], None]) -> None:
         self._scheduled_count += 1  # keeps the order of actions that are due at the same instant

@@ -18,8 +18,9 @@ from hil.core.errors import DocumentError
 
 FORMS: Final = (
     "payload:KG@S, supply-pressure:KPA@S, temperature:CELSIUS@S, friction:AXIS,FACTOR@S, "
-    "leak:AXIS,CHAMBER,M3_S_PA@S, stuck-spool:AXIS@S, broken-wire:AXIS@S "
-    "(stuck-spool:AXIS,false@S frees the spool, broken-wire:AXIS,false@S repairs the wire)"
+    "leak:AXIS,CHAMBER,M3_S_PA@S, stuck-spool:AXIS@S, broken-wire:AXIS@S, emergency-stop:pressed@S, "
+    "enable-switch:released@S (emergency-stop:released@S and enable-switch:held@S close the contacts, "
+    "stuck-spool:AXIS,false@S frees the spool, broken-wire:AXIS,false@S repairs the wire)"
 )
 """Forms of all events, for help texts and errors."""
 

@@ -86,5 +86,27 @@ class BrokenWire(Event, frozen=True, tag="broken wire"):
     broken: bool = True
 
 
-AnyEvent = Payload | SupplyPressure | Temperature | FrictionFactor | Leak | StuckSpool | BrokenWire
+class EmergencyStop(Event, frozen=True, tag="emergency stop"):
+    """The emergency stop beside the arm is pressed or released. A rig file says which frame shows it."""
+
+    button: Literal["pressed", "released"]
+
+
+class EnableSwitch(Event, frozen=True, tag="enable switch"):
+    """The enable switch is released or held. It is held at first. A rig file says which frame shows it."""
+
+    switch: Literal["released", "held"]
+
+
+AnyEvent = (
+    Payload
+    | SupplyPressure
+    | Temperature
+    | FrictionFactor
+    | Leak
+    | StuckSpool
+    | BrokenWire
+    | EmergencyStop
+    | EnableSwitch
+)
 """An event of any kind. Events of the same instant happen in the order in which they are listed."""

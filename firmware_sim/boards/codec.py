@@ -13,9 +13,12 @@ from typing import Final, NamedTuple
 NMT_ID: Final = 0x000
 SYNC_ID: Final = 0x080
 EMERGENCY_ID: Final = 0x080
-"""Identifier of EMCY of node 0. Add the node id; the same holds for TPDO1, RPDO1 and the heartbeat."""
+"""Identifier of EMCY of node 0. Add the node id; the same holds for all identifiers below."""
 TPDO1_ID: Final = 0x180
+TPDO2_ID: Final = 0x280
 RPDO1_ID: Final = 0x200
+SDO_ANSWER_ID: Final = 0x580
+SDO_REQUEST_ID: Final = 0x600
 HEARTBEAT_ID: Final = 0x700
 
 GATEWAY_NODE: Final = 0x01

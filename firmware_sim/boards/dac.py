@@ -8,31 +8,57 @@ The board centres all valves
 1. when it leaves the NMT state operational,
 2. when no good command has arrived for the watchdog time,
 3. when the gateway's heartbeat, once it has been seen, is absent for its timeout.
+
+If the rig file has ``dac.read_back``, the board answers each SYNC with TPDO1: the voltages on its pins, after
+the command of that SYNC was applied.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from enum import IntEnum
+from functools import partial
 from typing import Final, NamedTuple, TypeAlias
 
-from firmware_sim.boards.canopen_slave import NEVER, CanopenSlave, ErrorCode, Frames, SlaveState
+from firmware_sim.boards.canopen_slave import (
+    MS_NS,
+    NEVER,
+    CanopenSlave,
+    ErrorCode,
+    Frames,
+    Identity,
+    SlaveState,
+)
 from firmware_sim.boards.codec import (
     DAC_NODE,
     GATEWAY_NODE,
     HEARTBEAT_ID,
     RPDO1_ID,
+    TPDO1_ID,
     Converter,
     RejectedPdoError,
     decode_values,
+    encode_values,
 )
 from firmware_sim.boards.faults import DacFaults
+from firmware_sim.boards.object_dictionary import (
+    NOT_USED,
+    DataType,
+    Dictionary,
+    Entry,
+    communication,
+    constant,
+    mapping,
+    record,
+)
 from hil.core.frames import Frame
 from hil.core.rig import Rig, nanoseconds
 
 Volts: TypeAlias = tuple[float, float, float]
 """Voltages of the board's three channels."""
 
+IDENTITY: Final = Identity(device_type=0x0008_0191, name="Simulated valve board", product_code=DAC_NODE)
+"""CiA 401 with analogue outputs."""
 MAX_COUNTER_STEP: Final = 127
 """Largest forward difference of the command counter that is accepted. Beyond it the counter went back."""
 
@@ -81,6 +107,8 @@ class DacBoard(CanopenSlave[DacFaults]):
         "_gateway_timeout_ns",
         "_pending_v",
         "_protected",
+        "_read_back_counter",
+        "_reads_back",
         "_watchdog_ns",
         "valve_v",
     )
@@ -88,7 +116,7 @@ class DacBoard(CanopenSlave[DacFaults]):
     def __init__(
         self, rig: Rig, drive: Callable[[Volts, int], None], *, resolution_bits: int, heartbeat_ns: int
     ) -> None:
-        super().__init__(DAC_NODE, heartbeat_ns)
+        super().__init__(DAC_NODE, heartbeat_ns, IDENTITY)
         self._protected = rig.dac.protected
         self._applies_at_once = rig.dac.apply == "at once"
         self._watchdog_ns = nanoseconds(rig.dac.watchdog_timeout_s)
@@ -104,11 +132,14 @@ class DacBoard(CanopenSlave[DacFaults]):
         """Voltages on the valves' pins now."""
         self._pending_v: Volts | None = None
         self._counter: int | None = None
+        self._reads_back = rig.dac.read_back
+        self._read_back_counter = 0
         self._command_due_ns = NEVER
         self._gateway_due_ns = NEVER
 
     def _on_reset(self, now_ns: int) -> None:
         self._gateway_due_ns = NEVER
+        self._read_back_counter = 0
         self._centre(now_ns)
 
     def _on_state(self, now_ns: int) -> None:
@@ -168,7 +199,43 @@ class DacBoard(CanopenSlave[DacFaults]):
     def _on_sync(self, now_ns: int) -> Frames:
         pending_v, self._pending_v = self._pending_v, None
         self._set(self._commanded_v if pending_v is None else pending_v, now_ns)
-        return ()
+        return self._read_back() if self._reads_back else ()
+
+    def _read_back(self) -> Frames:
+        """Return TPDO1 with the voltages on the pins."""
+        counter, self._read_back_counter = self._read_back_counter, (self._read_back_counter + 1) & 0xFF
+        if self.faults is not None and self.faults.silent_read_back:
+            return ()
+        counts = (self._pin_count(1), self._pin_count(2), self._pin_count(3))
+        data = encode_values(counts, counter if self._protected else None)
+        return (Frame(TPDO1_ID + DAC_NODE, data),)
+
+    def _pin_count(self, channel: int) -> int:
+        return self._converter.counts(self.valve_v[channel - 1])
+
+    def _commanded_count(self, channel: int) -> int:
+        return self._converter.counts(self._commanded_v[channel - 1])
+
+    def _application_objects(self) -> Dictionary:
+        i16, i32, u8 = DataType.INTEGER16, DataType.INTEGER32, DataType.UNSIGNED8
+        commanded, applied = 0x6411, 0x2002
+        channels, protected = (1, 2, 3), self._protected
+        counts = self._converter.counts
+        read_back_id = TPDO1_ID + DAC_NODE | (0 if self._reads_back else NOT_USED)
+        consumed = GATEWAY_NODE << 16 | self._gateway_timeout_ns // MS_NS
+        return {
+            **record(0x1016, constant(DataType.UNSIGNED32, consumed)),
+            **communication(0x1400, RPDO1_ID + DAC_NODE, 255 if self._applies_at_once else 1),
+            **mapping(0x1600, *_mapped(commanded, 0x2000, protected)),
+            **communication(0x1800, read_back_id, 1),
+            **mapping(0x1A00, *_mapped(applied, 0x2001, protected)),
+            **record(0x2000, Entry(u8, lambda: self._counter or 0), Entry(u8, lambda: 0)),
+            **record(0x2001, Entry(u8, lambda: (self._read_back_counter - 1) & 0xFF), Entry(u8, lambda: 0)),
+            **record(applied, *(Entry(i16, partial(self._pin_count, c)) for c in channels)),
+            **record(commanded, *(Entry(i16, partial(self._commanded_count, c)) for c in channels)),
+            **record(0x6443, *(constant(u8, 1) for _ in channels)),
+            **record(0x6444, *(constant(i32, counts(self._centre_v[c - 1])) for c in channels)),
+        }
 
     def _on_time(self, now_ns: int) -> Frames:
         frames: Frames = ()
@@ -199,3 +266,9 @@ class DacBoard(CanopenSlave[DacFaults]):
         if volts != self.valve_v:
             self.valve_v = volts
             self._drive(volts, now_ns)
+
+
+def _mapped(values: int, protection: int, is_protected: bool) -> list[tuple[int, int, int]]:
+    """Return the mapping of three channels, with counter and CRC if the PDO is protected."""
+    mapped = [(values, channel, 16) for channel in (1, 2, 3)]
+    return [*mapped, (protection, 1, 8), (protection, 2, 8)] if is_protected else mapped

@@ -20,6 +20,8 @@ class BoardFaults:
     """The board sends no heartbeat."""
     emergency_code: int | None = None
     """CiA 301 error code of an EMCY that the board sends once, at the next SYNC or heartbeat."""
+    start_prevented_by: int | None = None
+    """CiA 301 error code of an error for which the board ignores NMT start. 1001h and 1003h show it."""
 
 
 @dataclass(slots=True)
@@ -34,6 +36,14 @@ class AdcFaults(BoardFaults):
     """Number of TPDO1 frames with a wrong CRC."""
     counters_to_repeat: int = 0
     """Number of TPDO1 frames that repeat the counter of the frame before."""
+    emergency_stop_pressed: bool = False
+    """The contact of the emergency stop is open, whatever the plant says."""
+    enable_released: bool = False
+    """The contact of the enable switch is open, whatever the plant says."""
+    silent_inputs: bool = False
+    """The frames of the digital inputs never reach the bus."""
+    input_crcs_to_corrupt: int = 0
+    """Number of frames of digital inputs with a wrong CRC."""
 
 
 @dataclass(slots=True)
@@ -42,3 +52,5 @@ class DacFaults(BoardFaults):
 
     frozen_v: dict[int, float] = field(default_factory=dict)
     """Channel to the voltage on its pin, whatever is commanded. A change acts no later than the next SYNC."""
+    silent_read_back: bool = False
+    """TPDO1, with the voltages on the pins, never reaches the bus."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
-from firmware_sim.plants.plant import Plant
+from firmware_sim.plants.plant import HasContacts, Plant
 
 
 class CombinedPlant:
@@ -17,6 +17,11 @@ class CombinedPlant:
 
     def __init__(self, parts: Sequence[Plant]) -> None:
         self._parts = tuple(parts)
+
+    @property
+    def open_contacts(self) -> Set[str]:
+        """Names of the contacts that any part has opened."""
+        return {name for part in self._parts if isinstance(part, HasContacts) for name in part.open_contacts}
 
     def advance(self, duration_ns: int, valve_v: Sequence[float]) -> None:
         """Hold the valve voltages (V, by channel) for ``duration_ns``.

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Sequence, Set
+from typing import Final, Protocol, runtime_checkable
+
+EMERGENCY_STOP: Final = "emergency stop"
+ENABLE_SWITCH: Final = "enable switch"
+"""Names of the contacts that a plant may open."""
 
 
 class Plant(Protocol):
@@ -20,3 +24,12 @@ class Plant(Protocol):
 
     def potentiometer_v(self) -> Sequence[float]:
         """Return the potentiometers' voltages now (V, by channel), 0 to 10 V; 0 V on an unused channel."""
+
+
+@runtime_checkable
+class HasContacts(Protocol):
+    """A plant beside which an emergency stop and an enable switch are, which its events operate."""
+
+    @property
+    def open_contacts(self) -> Set[str]:
+        """Names of the contacts that are open now."""

@@ -23,6 +23,8 @@ COMMANDS = {
     "run": ("hil.cli.run", "run the controllers against the rig, and record the run"),
     "collect": ("hil.cli.collect", "excite one axis and record it, as data for a plant model"),
     "replay": ("hil.cli.replay", "replay recordings, and compare the core's answers with them"),
+    "export": ("hil.cli.export", "write the signals or frames of a recording for other tools"),
+    "import": ("hil.cli.import_", "make a recording of a bus log: candump, ASC, BLF or MF4"),
     "rig": ("hil.cli.rig", "print, copy or check a rig file"),
     "vcan": ("hil.cli.vcan", "run a command where the CAN interface vcan0 exists"),
     "doctor": ("hil.cli.doctor", "check what this machine offers a control loop, and what to improve"),

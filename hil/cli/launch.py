@@ -8,7 +8,7 @@ import time
 import traceback
 from pathlib import Path
 
-from firmware_sim.simulated_plant import build_plant, planned_events
+from firmware_sim.simulated_plant import build_boards, build_plant, planned_events, refuse_host_faults
 from hil.cli.quantities import duration_text
 from hil.cli.run_parts import (
     SIMULATED,
@@ -21,7 +21,7 @@ from hil.cli.run_parts import (
 )
 from hil.core.gateway import Gateway
 from hil.core.output import LogEntry, Severity
-from hil.recording.recorder import Recorder, RecorderReport
+from hil.recording.recorder import FAULTS_BEGUN, Recorder, RecorderReport
 from hil.shells.run_plan import RunPlan
 from hil.shells.run_setup import RunSetup
 from hil.shells.session import Session
@@ -43,6 +43,8 @@ def run_realtime(
     from hil.shells.realtime import run
     from hil.views.live_display import LiveDisplay
 
+    if bus == SIMULATED:
+        refuse_host_faults(options)
     spec = f"udp:{free_udp_port()}" if bus == SIMULATED else bus
     axes = [(name, axis.unit) for name, axis in setup.rig.axes.items()]
     with stop_on_signals() as stop_request, contextlib.ExitStack() as stack:
@@ -79,14 +81,15 @@ def run_lockstep(
     setup: RunSetup, plan: RunPlan, path: Path, duration_s: float, options: argparse.Namespace
 ) -> RecorderReport:
     """Run against simulated boards in this process and in simulated time. Every run gives the same bytes."""
-    from firmware_sim.simulated_rig import SimulatedRig
+    from firmware_sim.faulty_rig import FaultyRig
     from hil.cli.progress import LockstepProgress
     from hil.shells.lockstep import Lockstep
 
     plant, _ = build_plant(setup.rig, options)
     planned = planned_events(options)
     header = run_header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}, planned)
-    lockstep = Lockstep(SimulatedRig(setup.rig, plant), 0)
+    boards = build_boards(setup.rig, plant, options)
+    lockstep = Lockstep(boards, 0, boards.host if isinstance(boards, FaultyRig) else None)
     gateway = setup.gateway(setup.rig.loop.period_ns)
     with stop_on_signals() as stop_request:
         recorder = Recorder(path, header, lossless=True)
@@ -94,7 +97,8 @@ def run_lockstep(
             session = Session(gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress)
             _announce(session, setup, duration_s, planned)
             lockstep.run(session, stop_request)
-        return recorder.close({"ending": _ending(plan, gateway)})
+        begun = boards.begun_by_time() if isinstance(boards, FaultyRig) else {}
+        return recorder.close({"ending": _ending(plan, gateway)} | ({FAULTS_BEGUN: begun} if begun else {}))
 
 
 def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dict[str, float]) -> None:

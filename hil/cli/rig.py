@@ -1,4 +1,4 @@
-"""``hil rig``: print, copy or check a rig file."""
+"""``hil rig``: print, copy or check a rig file, or copy the EDS files of the boards."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from hil.core.errors import DocumentError
 from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
 from hil.shells.run_setup import RIG_NAME, SHIPPED, load_setup
+
+EDS_NAMES = ("adc.eds", "dac.eds")
+"""Electronic data sheets (CiA 306) of the potentiometer board and the valve board."""
 
 
 def parser() -> CommandParser:
@@ -29,6 +32,14 @@ def parser() -> CommandParser:
     action.add_argument(
         "--check", metavar="FILE", type=Path, help="read FILE and all files that it names, and report errors"
     )
+    action.add_argument(
+        "--eds",
+        metavar="FOLDER",
+        nargs="?",
+        const=".",
+        help=f"write {' and '.join(EDS_NAMES)}, which describe the boards to CANopen tools, to FOLDER "
+        "(default: the working directory); existing files are kept",
+    )
     return command
 
 
@@ -38,6 +49,12 @@ def main(argv: list[str]) -> int:
     if options.check:
         setup = load_setup(options.check, {}, {})
         sys.stdout.write(f"{options.check}: valid; axes {', '.join(setup.rig.axes)}\n")
+        return 0
+    if options.eds is not None:
+        paths = [Path(options.eds) / name for name in EDS_NAMES]
+        for path in paths:
+            _write_new(path, read_text(SHIPPED / path.name))
+        sys.stdout.write(f"{' and '.join(map(str, paths))} written; open them with a CANopen tool\n")
         return 0
     text = read_text(SHIPPED / RIG_NAME)
     if options.init:

@@ -110,10 +110,10 @@ def main(argv: list[str]) -> int:
     bus = chosen_bus(options, setup)
     if bus == SIMULATED:
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
-    elif scenario is not None and scenario.events:
+    elif scenario is not None and (scenario.events or scenario.faults):
         sys.stderr.write(
-            f"hil run: with --bus {bus}, the events of the scenario do not happen; `firmware-sim "
-            "--scenario` simulates them\n"
+            f"hil run: with --bus {bus}, the events and faults of the scenario do not happen; "
+            "`firmware-sim --scenario` simulates them\n"
         )
     if is_real(bus) and not options.yes:
         confirm_motion(setup, bus)

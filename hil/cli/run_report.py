@@ -97,6 +97,8 @@ def _last_warning(recording: Recording) -> str:
 def _failure_text(ending: Ending | None, recorded_ending: dict[str, str], refusal: str) -> str:
     if ending is Ending.START_REFUSED:
         return f"The run did not begin. {refusal}"
+    if ending is Ending.RELEASED:
+        return f"The run was stopped. {refusal}"
     if ending is not Ending.NO_BOARDS:
         return f"The run ended by {ending}: {recorded_ending.get('fault', '')}"
     readiness = recorded_ending.get("readiness", "")

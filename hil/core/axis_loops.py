@@ -152,6 +152,11 @@ class AxisLoops:
         return tuple([axis.signals for axis in self._axes])
 
     @property
+    def commanded_v(self) -> Sequence[float]:
+        """Last commands in volts, in the order of the rig's axes."""
+        return self._valves.volts
+
+    @property
     def experiment(self) -> ExcitedLoop | None:
         """The loop that an experiment excites, or None if the run is no experiment."""
         return self._excited

@@ -1,4 +1,8 @@
-"""Supervision of both boards: reactions to their heartbeats, restarts and emergency messages."""
+"""Supervision of both boards: reactions to their heartbeats, restarts and emergency messages.
+
+A board that is not operational is started. If it ignores several starts, the gateway starts it more rarely,
+and asks it for its error register and its last error.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from hil.core.board_watch import ADC_NODE, DAC_NODE, BoardWatch, describe_emergency
+from hil.core.error_query import SDO_ANSWER, ErrorQuery, Step
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState
 from hil.core.operating_state import OperatingState
@@ -38,6 +43,9 @@ class BoardSupervision:
         self._throttle = throttle
         self._rejections = rejections
         self._on_adc_restart = on_adc_restart
+        self._queries = {board.name: ErrorQuery(board.node_id) for board in self._both}
+        self._by_answer = {SDO_ANSWER + board.node_id: board for board in self._both}
+        """Boards by the identifier of their SDO answers."""
         self._started: set[str] = set()
         """Names of the boards that were sent an NMT start in this period. One start per period is enough."""
 
@@ -48,7 +56,11 @@ class BoardSupervision:
 
     def describe(self) -> str:
         """Return the state of both boards in words."""
-        return "; ".join(f"{board.name} {board.describe()}" for board in self._both)
+        return "; ".join(self._describe(board) for board in self._both)
+
+    def _describe(self, board: BoardWatch) -> str:
+        finding = None if board.is_up else self._queries[board.name].finding
+        return f"{board.name} {board.describe()}" + (f": {finding}" if finding else "")
 
     def begin_period(self, now_ns: int) -> Output:
         """Begin a period: react to heartbeats that have timed out, and allow one NMT start to each board."""
@@ -58,6 +70,9 @@ class BoardSupervision:
             reason = board.check_timeout(now_ns)
             if reason is not None:
                 lost = combine(lost, self._state.lose(board.name, reason))
+            step = self._queries[board.name].check_timeout(now_ns)
+            if step is not None:
+                lost = combine(lost, self._take_step(board, step))
         return lost
 
     def receive_heartbeat(self, board: BoardWatch, data: bytes, now_ns: int) -> Output:
@@ -71,11 +86,13 @@ class BoardSupervision:
             kind = f"{board.name} state"
             changed = self._throttle.report(Severity.INFO, board.name, board.describe(), kind)
         if start is None:
+            if board.starts.sent == 0:
+                self._queries[board.name].reset()
             return changed
         if board is self.adc:
             self._on_adc_restart()
         lost = self._state.lose(board.name, f"left operational: {board.describe()}") if was_up else NOTHING
-        return combine(changed, lost, self._start(board, start))
+        return combine(changed, lost, self._start(board, start, now_ns))
 
     def receive_adc_emergency(self, data: bytes) -> Output:
         """Take an emergency message of the ADC board."""
@@ -85,11 +102,33 @@ class BoardSupervision:
         """Take an emergency message of the DAC board."""
         return self._receive_emergency(self.dac, data, codec.EMCY_DAC_LENGTH, codec.decode_emcy_dac)
 
-    def _start(self, board: BoardWatch, command: Frame) -> Output:
+    def receive_answer(self, identifier: int, data: bytes, now_ns: int) -> Output | None:
+        """Take the answer of a board to a question about its errors; None if the frame is no such answer."""
+        board = self._by_answer.get(identifier)
+        if board is None or not self._queries[board.name].is_answer(data):
+            return None
+        return self._take_step(board, self._queries[board.name].answer(data, now_ns))
+
+    def _start(self, board: BoardWatch, command: Frame, now_ns: int) -> Output:
+        """Start a board, unless it ignores its starts: then ask it why, and start it more rarely."""
+        is_due = board.starts.should_start(now_ns)
         if board.name in self._started:
             return NOTHING
+        query = self._queries[board.name]
+        is_unexplained = board.starts.are_ignored and not query.is_begun
+        question = Output((query.begin(now_ns),)) if is_unexplained else NOTHING
+        if not is_due:
+            return question
         self._started.add(board.name)
-        return Output((command,))
+        board.starts.start_sent(now_ns)
+        return combine(question, Output((command,)))
+
+    def _take_step(self, board: BoardWatch, step: Step) -> Output:
+        """Send the next question to a board, or report what it has answered."""
+        if step.request is not None:
+            return Output((step.request,))
+        text = f"not operational after {board.starts.sent} NMT starts: {step.finding}"
+        return self._throttle.report(Severity.WARNING, board.name, text, kind=f"{board.name} finding")
 
     def _receive_emergency(
         self, board: BoardWatch, data: bytes, length: int, decode: Callable[[bytes], Emergency]

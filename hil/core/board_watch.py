@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 from hil.core.frames import Frame
+from hil.core.nmt_starts import NmtStarts
 from hil.core.wire import codec
 
 ADC_NODE = 0x10
@@ -57,17 +58,16 @@ A code of which only the leading digits are listed is more specific.
 """
 
 
+def describe_error_code(error_code: int) -> str:
+    """Return an error code of CiA 301 as a number with its meaning in words."""
+    masks = (0xFFFF, 0xFFF0, 0xFF00, 0xF000)
+    known = (EMERGENCIES[error_code & mask] for mask in masks if error_code & mask in EMERGENCIES)
+    return f"0x{error_code:04X} ({next(known, 'unknown error')})"
+
+
 def describe_emergency(error_code: int, error_register: int, vendor: bytes) -> str:
     """Return an emergency message in words. ``vendor`` are its last five bytes; zeros are left out."""
-    meaning = next(
-        (
-            EMERGENCIES[error_code & mask]
-            for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000)
-            if error_code & mask in EMERGENCIES
-        ),
-        "unknown error",
-    )
-    text = f"EMCY 0x{error_code:04X} ({meaning}), error register 0x{error_register:02X}"
+    text = f"EMCY {describe_error_code(error_code)}, error register 0x{error_register:02X}"
     return f"{text}, vendor bytes {vendor.hex(' ').upper()}" if any(vendor) else text
 
 
@@ -94,6 +94,7 @@ class BoardWatch:
         """NMT state in the last heartbeat; None before the first one and after a timeout."""
         self.error: str | None = None
         """Last emergency in words; None if the board has reported that no error is left, or has restarted."""
+        self.starts = NmtStarts()
 
     @property
     def is_up(self) -> bool:
@@ -102,8 +103,8 @@ class BoardWatch:
 
     @property
     def is_fit(self) -> bool:
-        """Whether the board is up and has no error."""
-        return self.is_up and self.error is None
+        """Whether the board is up, has no error, and is settled if it needed many starts."""
+        return self.is_up and self.error is None and not self.starts.are_excessive
 
     def heartbeat(self, nmt_state: int, now_ns: int) -> Frame | None:
         """Take a heartbeat. Return the NMT command that starts the board, or None if it is operational."""
@@ -112,6 +113,7 @@ class BoardWatch:
         if nmt_state == NmtState.BOOT_UP:
             self.error = None
         if nmt_state == NmtState.OPERATIONAL:
+            self.starts.operational(now_ns)
             return None
         return Frame(codec.NMT, codec.encode_nmt(NMT_START, self.node_id))
 
@@ -125,6 +127,7 @@ class BoardWatch:
         silent_ms = (now_ns - self._last_heartbeat_ns) / 1e6
         self._last_heartbeat_ns = None
         self.nmt_state = None
+        self.starts.silent()
         return (
             f"no heartbeat for {silent_ms:.0f} ms, limit {self._timeout_ns / 1e6:.0f} ms "
             f"(rig: {self._timeout_key})"
@@ -138,4 +141,8 @@ class BoardWatch:
             state = NmtState(self.nmt_state).name.lower().replace("_", "-")
         except ValueError:
             state = f"in unknown NMT state {self.nmt_state}"
+        if self.starts.are_excessive and self.is_up:
+            state = f"{state}, but not settled after {self.starts.sent} NMT starts"
+        elif self.starts.are_ignored and not self.is_up:
+            state = f"{state} after {self.starts.sent} NMT starts"
         return state if self.error is None else f"{state}, in error: {self.error}"

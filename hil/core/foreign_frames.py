@@ -30,6 +30,12 @@ COMMANDS_TO_BOARDS = {
 }
 """Identifiers that can move a valve or change a board. Nobody may send them while the gateway is armed."""
 
+UNUSED_FRAMES = {
+    codec.TPDO1_DAC: "TPDO1_DAC, which this rig does not use (rig: dac.read_back)",
+    codec.TPDO2_ADC: "TPDO2_ADC, which this rig does not use (rig: emergency_stop.frame, enable.frame)",
+}
+"""Frames in ``arm.dbc`` that are used only if the rig file says so."""
+
 MAX_REPORTED_IDENTIFIERS = 64
 """Number of unknown identifiers that are reported, so that a babbling node does not fill the recording."""
 
@@ -43,7 +49,7 @@ class Intrusion(NamedTuple):
 
 
 class UnknownFrame(NamedTuple):
-    """A frame that is not in ``arm.dbc`` and has not been reported before."""
+    """A frame that the rig does not use and that has not been reported before."""
 
     text: str
 
@@ -73,6 +79,5 @@ class ForeignFrames:
         if kind in self._reported or len(self._reported) >= MAX_REPORTED_IDENTIFIERS:
             return None
         self._reported.add(kind)
-        return UnknownFrame(
-            f"frame {frame} is not in arm.dbc; further frames with its identifier are not reported"
-        )
+        what = UNUSED_FRAMES.get(frame.id, "not in arm.dbc") if is_standard else "not in arm.dbc"
+        return UnknownFrame(f"frame {frame} is {what}; further frames with its identifier are not reported")

@@ -28,6 +28,7 @@ from hil.core.excited_loop import ExcitedLoop
 from hil.core.experiment import Experiment
 from hil.core.foreign_frames import ForeignFrames, Intrusion, UnknownFrame
 from hil.core.frames import Frame
+from hil.core.hardware_protection import ENABLE, HardwareProtection
 from hil.core.jog import JogEnd
 from hil.core.jogging import Jogging
 from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger
@@ -76,7 +77,20 @@ class Gateway:
         self._boards = BoardSupervision(
             rig, self._state, self._throttle, self._rejections, on_adc_restart=self._guard.restart
         )
-        self._jogging = Jogging(rig, self._loops, self._state, self._boards.describe)
+        self._protection = HardwareProtection(
+            rig,
+            self._state,
+            self._throttle,
+            needs_enable=self._needs_enable,
+            stop=self._stop_motion,
+        )
+        self._jogging = Jogging(
+            rig,
+            self._loops,
+            self._state,
+            circumstances=lambda: self._describe(self._clock.wake_ns),
+            enable_problem=self._protection.enable_problem,
+        )
         self._requests = OperatorRequests(rig, self._loops)
         self._foreign_frames = ForeignFrames()
         self.error_frames = 0
@@ -126,8 +140,8 @@ class Gateway:
     def readiness(self) -> str:
         """What is known about the boards and their samples, in words. It says what the gateway waits for."""
         reason = self._rejections.last_reason
-        boards = self._boards.describe()
-        return f"{boards}; last sample rejected: {reason}" if reason else boards
+        circumstances = self._describe(self._clock.wake_ns)
+        return f"{circumstances}; last sample rejected: {reason}" if reason else circumstances
 
     def on_deadline(self, now_ns: int) -> Output:
         """Begin the period that is due: end the one before, send SYNC, and centre the valves unless running.
@@ -136,7 +150,7 @@ class Gateway:
         """
         skipped = self._clock.skipped_periods(now_ns)
         ended = self._end_period(skipped, now_ns)
-        timeouts = self._boards.begin_period(now_ns)
+        timeouts = combine(self._boards.begin_period(now_ns), self._protection.check(now_ns))
         jog_ended = self._jogging.begin_period(now_ns)
         self._clock.begin_period(now_ns, skipped)
         self._has_sample = False
@@ -161,7 +175,10 @@ class Gateway:
             return self._boards.receive_adc_emergency(data)
         if identifier == codec.EMCY_DAC:
             return self._boards.receive_dac_emergency(data)
-        return self._receive_foreign(frame)
+        if identifier in self._protection.identifiers:
+            return self._protection.receive(identifier, data, now_ns)
+        answer = self._boards.receive_answer(identifier, data, now_ns)
+        return self._receive_foreign(frame) if answer is None else answer
 
     def operate(self, request: Request, now_ns: int, prepared: PreparedController | None = None) -> Output:
         """Take an operator's request, or refuse it. The output's ``reply`` says what happened, or why not.
@@ -169,13 +186,17 @@ class Gateway:
         ``prepared`` is the result of ``controller_change.prepare_controller`` for this request, if another
         process has read the controller already. It saves time and changes nothing else.
         """
+        checked = self._protection.check(now_ns)
+        return combine(checked, self._take_request(request, now_ns, prepared))
+
+    def _take_request(self, request: Request, now_ns: int, prepared: PreparedController | None) -> Output:
         match request:
             case SetpointRequest() | ControllerRequest():
                 return self._requests.change(request, self._is_controlling, prepared)
             case JogRequest():
                 return self._requests.refuse(request) or self._jogging.take(request, now_ns)
         before = self._state.current
-        output = self._take_trigger(request)
+        output = self._take_trigger(request, now_ns)
         text = "; ".join(entry.text for entry in output.log)
         return output._replace(reply=Reply(self._state.current is not before, text))
 
@@ -184,12 +205,12 @@ class Gateway:
         """Whether the controllers act on the valves."""
         return self._state.current is LifeCycleState.RUNNING and not self._jogging.is_active
 
-    def _take_trigger(self, trigger: Trigger) -> Output:
+    def _take_trigger(self, trigger: Trigger, now_ns: int) -> Output:
         """Take an operator's trigger (arm, start, stop, disarm, reset), or refuse it in the present state."""
         if trigger not in OPERATOR_TRIGGERS or not self._state.allows(trigger):
-            return self._state.refuse(trigger, self._boards.describe())
+            return self._state.refuse(trigger, self._describe(now_ns))
         if trigger is Trigger.START:
-            return self._start()
+            return self._start(now_ns)
         changed = self._state.enter(trigger)
         if trigger is Trigger.STOP:
             return combine(changed, self._centre())
@@ -210,9 +231,23 @@ class Gateway:
         """Take the shell's report that the bus cannot be used any more."""
         return self._state.fault("link", reason)
 
-    def _start(self) -> Output:
-        """Begin to control, or refuse because a position or a first setpoint is outside the envelope."""
-        refusals = self._loops.start_refusals()
+    def _describe(self, now_ns: int) -> str:
+        """Return in words what is known about the boards, and what the protection by hardware lacks."""
+        return "; ".join([self._boards.describe(), *self._protection.obstacles(now_ns)])
+
+    def _needs_enable(self) -> bool:
+        """Return whether the present motion needs the enable switch: that of an experiment or a jog."""
+        return self._loops.experiment is not None or self._jogging.is_active
+
+    def _stop_motion(self, reason: str) -> Output:
+        """Stop such a motion because an operator has released the enable switch."""
+        return combine(self._state.stop(ENABLE, reason), self._centre())
+
+    def _start(self, now_ns: int) -> Output:
+        """Begin to control, or refuse, such as for a first setpoint outside the envelope."""
+        refusals: list[tuple[str, str]] = list(self._loops.start_refusals())
+        if self.experiment is not None and (problem := self._protection.enable_problem(now_ns)) is not None:
+            refusals.append((ENABLE, problem))
         if refusals:
             return Output(
                 log=tuple(
@@ -260,6 +295,8 @@ class Gateway:
         if may_wait and self._clock.is_very_late:
             return self._omit_sync_when_late(now_ns)
         if self._guard.begin_period(now_ns, may_wait):
+            if self._protection.reads_back:
+                return combine(self._protection.sync_sent(self._loops.commanded_v), _SYNC)
             return _SYNC
         if state is LifeCycleState.OFFLINE:
             return NOTHING
@@ -297,6 +334,8 @@ class Gateway:
         verdict = check(data, now_ns)
         lost = self._count_lost(verdict.lost_before) if verdict.lost_before else NOTHING
         if isinstance(verdict, Accepted):
+            if self._protection.has_inputs:
+                lost = combine(lost, self._protection.check(now_ns))
             return combine(lost, self._use_sample(verdict, now_ns))
         return combine(lost, self._reject_sample(verdict))
 
@@ -314,7 +353,12 @@ class Gateway:
             return self._control(sample.volts, now_ns)
         self._loops.observe(sample.volts)
         is_offline = self._state.current is LifeCycleState.OFFLINE
-        is_ready = is_offline and self._boards.are_fit and not self._guard.suspects_second_sender
+        is_ready = (
+            is_offline
+            and self._boards.are_fit
+            and not self._guard.suspects_second_sender
+            and not self._protection.obstacles(now_ns)
+        )
         changed = self._state.enter(Trigger.BOARDS_UP) if is_ready else NOTHING
         return combine(changed, Output(cycle=self._cycle(now_ns, True)))
 

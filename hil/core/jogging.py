@@ -18,15 +18,25 @@ from hil.core.rig import Rig
 
 
 class Jogging:
-    """The present jog, if there is one. ``circumstances`` describes the boards, for refusals."""
+    """The present jog, if there is one.
+
+    ``circumstances`` describes the boards, for refusals. ``enable_problem`` returns why the enable switch
+    does not count as held at a time, or None.
+    """
 
     def __init__(
-        self, rig: Rig, loops: AxisLoops, state: OperatingState, circumstances: Callable[[], str]
+        self,
+        rig: Rig,
+        loops: AxisLoops,
+        state: OperatingState,
+        circumstances: Callable[[], str],
+        enable_problem: Callable[[int], str | None],
     ) -> None:
         self._rig = rig
         self._loops = loops
         self._state = state
         self._circumstances = circumstances
+        self._enable_problem = enable_problem
         self._jog: Jog | None = None
 
     @property
@@ -40,7 +50,7 @@ class Jogging:
 
     def take(self, request: JogRequest, now_ns: int) -> Output:
         """Begin or extend a jog of an axis that the rig has, or refuse it."""
-        reason = self._refusal(request)
+        reason = self._refusal(request, now_ns)
         if reason is not None:
             return answer(request.axis, Reply(False, f"jog refused: {reason}"))
         motion = f"{request.offset_v:+g} V for {request.duration_s:g} s"
@@ -71,7 +81,7 @@ class Jogging:
         self._jog = None
         return self._state.enter(Trigger.STOP, f"jog ended: {cause}")
 
-    def _refusal(self, request: JogRequest) -> str | None:
+    def _refusal(self, request: JogRequest, now_ns: int) -> str | None:
         """Return why a jog is not possible now, or None."""
         state, axis = self._state.current, request.axis
         if self._jog is not None and self.is_active:
@@ -81,4 +91,6 @@ class Jogging:
             return f"the state is {state.name.lower()} ({self._circumstances()}), but must be armed"
         if self._loops.experiment is not None:
             return "an experiment is planned, which begins with the next start"
+        if (problem := self._enable_problem(now_ns)) is not None:
+            return f"enable: {problem}"
         return limits_refusal(request, self._rig.axes[axis]) or self._loops.position_refusal(axis)

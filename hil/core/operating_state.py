@@ -59,6 +59,11 @@ class OperatingState:
             return combine(report, self.enter(Trigger.BOARDS_LOST))
         return report
 
+    def stop(self, source: str, reason: str) -> Output:
+        """Stop the motion for a reason that an operator has given without a request."""
+        entry = LogEntry(Severity.WARNING, source, reason)
+        return combine(Output(log=(entry,)), self.enter(Trigger.STOP))
+
     def refuse(self, trigger: Trigger, circumstances: str) -> Output:
         """Report that the state does not allow an operator's trigger."""
         allowed = ", ".join(allowed_triggers(self.current)) or "nothing"

@@ -14,6 +14,7 @@ import msgspec
 from hil.core.documents import Document, from_plain, parse_toml
 from hil.core.envelope_settings import AxisRange, EnvelopeSettings, Limits, check_settings, limits_of
 from hil.core.errors import DocumentError
+from hil.core.input_settings import InputSettings, check_inputs
 from hil.core.operator_settings import (
     OperatorLimits,
     OperatorSettings,
@@ -88,6 +89,12 @@ class DacSettings(Document, frozen=True):
     """Time in seconds without an accepted command after which the board centres its valves."""
     heartbeat_timeout_s: Timeout
     """Time in seconds without a heartbeat after which board and gateway count each other as lost."""
+    read_back: bool = False
+    """True if the board answers each SYNC with TPDO1: the voltages on its pins, laid out like RPDO1."""
+    read_back_tolerance_v: Annotated[float, msgspec.Meta(ge=0.005, le=5.0)] = 0.05
+    """Largest difference in volts between a command and the voltage that the board reads back."""
+    read_back_periods: Periods = 3
+    """Number of consecutive periods with a larger difference that is a fault."""
 
 
 class Potentiometer(Document, frozen=True):
@@ -183,6 +190,16 @@ class Rig(Document, frozen=True):
     dac: DacSettings
     axes: Annotated[dict[str, AxisSettings], msgspec.Meta(min_length=1)]
     bus: Bus = Bus()
+    emergency_stop: InputSettings | None = None
+    """Contact without which nothing arms, and whose opening is a fault; None if the rig has none."""
+    enable: InputSettings | None = None
+    """Contact that an operator holds closed while an axis is jogged or excited; None if the rig has none."""
+
+    @property
+    def inputs(self) -> dict[str, InputSettings]:
+        """The digital inputs of the rig, by the name of their table."""
+        named = (("emergency_stop", self.emergency_stop), ("enable", self.enable))
+        return {name: settings for name, settings in named if settings is not None}
 
     @property
     def heartbeat_periods(self) -> int:
@@ -204,6 +221,7 @@ def read_rig(text: str, source: str) -> Rig:
     _refuse_replaced_keys(plain, source)
     rig = from_plain(plain, Rig, source)
     _check_times(rig, source)
+    check_inputs(rig.inputs, source)
     if len(rig.axes) > CHANNELS:
         raise DocumentError(
             f"{source}: axes: {', '.join(rig.axes)}: the boards have channels for {CHANNELS} axes, "

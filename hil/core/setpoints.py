@@ -22,7 +22,7 @@ import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from hil.core.errors import SetpointError
 from hil.core.suggestions import did_you_mean
@@ -49,7 +49,11 @@ _FORM = re.compile(
 )
 
 
-Function = Callable[[float], float]
+class Function(Protocol):
+    """A setpoint as a function of time."""
+
+    def __call__(self, t: float, /) -> float:
+        """Return r in the axis' unit at ``t`` seconds."""
 
 
 class Setpoint(NamedTuple):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -33,12 +33,21 @@ from hil.recording.pipe import RecorderPipe
 from hil.recording.request_texts import request_text
 from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, layout_of
 
-__all__ = ["ARM_EVENTS", "Recorder", "RecorderReport", "RunHeader"]
+if TYPE_CHECKING:
+    from hil.recording.direct_writer import DirectWriter
+
+__all__ = ["ARM_EVENTS", "FAULTS_BEGUN", "Recorder", "RecorderReport", "RunHeader"]
 
 ARM_EVENTS = "arm events"
 """Name of the metadata with the planned events of a simulated arm.
 
 The keys are the events as in ``--event``, the values are their times in seconds from the first sample.
+"""
+
+FAULTS_BEGUN = "faults begun"
+"""Name of the metadata with the faults of a simulated rig: instant to the faults that began then.
+
+Several faults of the same instant are separated by spaces.
 """
 
 BATCH_BYTES = 32 * 1024
@@ -74,18 +83,21 @@ class Recorder:
 
     Create it before the loop takes real-time rights or a processor of its own: the recorder process inherits
     them. With ``lossless``, the loop waits for the recorder process, and the same calls give the same bytes.
-    ``now_ns`` is the time on the gateway's monotonic clock in every method. Raises RecordingError when
-    ``path`` exists or cannot be created, or when the clock is outside ROS time.
+    ``now_ns`` is the time on the gateway's monotonic clock in every method. ``pipe`` replaces the recorder
+    process. Raises RecordingError when ``path`` exists or cannot be created, or when the clock is outside ROS
+    time.
     """
 
-    def __init__(self, path: Path, header: RunHeader, lossless: bool) -> None:
+    def __init__(
+        self, path: Path, header: RunHeader, lossless: bool, pipe: DirectWriter | None = None
+    ) -> None:
         if not 0 <= header.epoch_offset_ns < ROS_TIME_END_NS - _MAX_RUN_NS:
             raise RecordingError(
                 f"{path}: the clock shows {header.epoch_offset_ns // _SECOND_NS} s since 1970, but the time "
                 "stamps of a recording must lie between 1970 and January 2038: set the clock"
             )
         self._path = path
-        self._pipe = RecorderPipe(path, lossless)
+        self._pipe: RecorderPipe | DirectWriter = pipe or RecorderPipe(path, lossless)
         self._batch = _empty_block()
         self._sequence = 0
         self._now_ns = self._handed_over_ns = 0

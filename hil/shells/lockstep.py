@@ -1,7 +1,8 @@
 """The lockstep shell: gateway and simulated boards in one process, in simulated time.
 
 Time jumps to the next deadline of either side. Frames arrive at once and in order. The same setup gives the
-same calls in every run.
+same calls in every run. A host that stalls serves its deadlines late: frames wait for it, and it reads them
+before the deadline that is overdue, as the real-time shell does.
 """
 
 from __future__ import annotations
@@ -49,13 +50,35 @@ class GatewaySide(Protocol):
         """Serve the core's deadline."""
 
 
-class Lockstep:
-    """A bus without delay, and the common clock of gateway and boards."""
+class Host(Protocol):
+    """The computer on which the gateway runs, with its faults."""
 
-    def __init__(self, boards: Boards, start_ns: int) -> None:
+    @property
+    def asleep_until_ns(self) -> int:
+        """Time until which the gateway's process does not run."""
+
+    @property
+    def clock_offset_ns(self) -> int:
+        """Difference of the wall clock, which stamps received frames, from the simulated time."""
+
+
+class _PunctualHost:
+    """A host without faults."""
+
+    asleep_until_ns = 0
+    clock_offset_ns = 0
+
+
+class Lockstep:
+    """A bus without delay, and the common clock of gateway and boards. ``host`` may stall the gateway."""
+
+    def __init__(self, boards: Boards, start_ns: int, host: Host | None = None) -> None:
         self._boards = boards
+        self._host: Host = host or _PunctualHost()
         self._now_ns = start_ns
         self._to_boards: deque[Frame] = deque()
+        self._waiting: list[tuple[Frame, int]] = []
+        """Frames that arrived while the host was stalled, each with its receive stamp."""
 
     def send(self, frame: Frame) -> bool:
         """Take a frame from the gateway. Return True, because this bus refuses none."""
@@ -79,13 +102,19 @@ class Lockstep:
 
     def step(self, gateway_side: GatewaySide) -> bool:
         """Advance to the next deadline and serve it. Return whether it was one of the gateway."""
-        boards, gateway = self._boards, gateway_side.gateway
-        if boards.next_deadline_ns < gateway.next_deadline_ns:
-            self._now_ns = boards.next_deadline_ns
-            self._deliver(gateway_side, boards.on_deadline(self._now_ns))
+        boards, awake_ns = self._boards, self._host.asleep_until_ns
+        deadline_ns = max(gateway_side.gateway.next_deadline_ns, awake_ns)
+        boards_ns = boards.next_deadline_ns
+        if boards_ns < (awake_ns if self._waiting else deadline_ns):
+            self._now_ns = boards_ns
+            self._deliver(gateway_side, boards.on_deadline(boards_ns))
             return False
-        self._now_ns = gateway.next_deadline_ns
-        gateway_side.on_deadline(self._now_ns)
+        if self._waiting:
+            self._now_ns = awake_ns
+            self._read_waiting(gateway_side)
+            return False
+        self._now_ns = deadline_ns
+        gateway_side.on_deadline(deadline_ns)
         self._deliver(gateway_side, ())
         return True
 
@@ -94,12 +123,27 @@ class Lockstep:
         self._to_boards.append(frame)
         self._deliver(gateway_side, (frame,))
 
+    def deliver_from_boards(self, gateway_side: GatewaySide, frames: tuple[Frame, ...]) -> None:
+        """Give the gateway frames that the boards send now without having been asked."""
+        self._deliver(gateway_side, frames)
+
+    def _read_waiting(self, gateway_side: GatewaySide) -> None:
+        """Give the gateway the frames that arrived while its host was stalled."""
+        waiting, self._waiting = self._waiting, []
+        for frame, stamp_ns in waiting:
+            gateway_side.receive(frame, self._now_ns, stamp_ns)
+        self._deliver(gateway_side, ())
+
     def _deliver(self, gateway_side: GatewaySide, to_gateway: tuple[Frame, ...]) -> None:
         """Deliver frames in both directions until none is left."""
-        now_ns, waiting, boards = self._now_ns, self._to_boards, self._boards
+        now_ns, to_boards, boards, host = self._now_ns, self._to_boards, self._boards, self._host
         while True:
             for frame in to_gateway:
-                gateway_side.receive(frame, now_ns, now_ns)
-            if not waiting:
+                stamp_ns = now_ns + host.clock_offset_ns
+                if now_ns < host.asleep_until_ns:
+                    self._waiting.append((frame, stamp_ns))
+                else:
+                    gateway_side.receive(frame, now_ns, stamp_ns)
+            if not to_boards:
                 return
-            to_gateway = boards.receive(waiting.popleft(), now_ns)
+            to_gateway = boards.receive(to_boards.popleft(), now_ns)

@@ -22,6 +22,8 @@ class Ending(StrEnum):
     INTERRUPTED = "interrupted"
     FAULT = "fault"
     START_REFUSED = "start was refused"
+    RELEASED = "enable switch was released"
+    """The gateway stopped the motion, because an operator has released the enable switch."""
     NO_BOARDS = "boards did not come up"
     LINK = "link failed"
     ERROR = "internal error"
@@ -111,7 +113,8 @@ class RunPlan(Plan):
         if self._started_at_period is None:
             return self._bring_up(gateway)
         if gateway.state is not LifeCycleState.RUNNING:
-            self.end(Ending.START_REFUSED)
+            has_run = self._periods - self._started_at_period > 1
+            self.end(Ending.RELEASED if has_run else Ending.START_REFUSED)
             return None
         is_done = gateway.experiment is not None and gateway.experiment.is_done
         if is_done or self._periods - self._started_at_period > self._run_periods:

@@ -132,7 +132,7 @@ def summarise(recording: Recording) -> Summary:
     timing = recording.timing()
     counts = recording.counts
     bring_up_periods = _bring_up_periods(timing, recording.state_names)
-    axes = {name: _axis_summary(recording.axis(name)) for name in recording.axes}
+    axes = {name: axis_summary(recording.axis(name)) for name in recording.axes}
     ending = recording.metadata.get("ending", {})
     controlled = timing[_controlled(timing)][1:]
     dropped, unreadable, not_sent, rejected, lost, error_frames = (
@@ -190,7 +190,8 @@ def _controlled(table: AxisTable | TimingTable) -> slice:
     return slice(max(running[0] - 1, 0), running[-1] + 1) if len(running) else slice(0)
 
 
-def _axis_summary(axis: AxisTable) -> StepResponse | Tracking | None:
+def axis_summary(axis: AxisTable) -> StepResponse | Tracking | None:
+    """Return the readings of the last step from rest, or else of tracking; None if nothing was controlled."""
     axis = axis[_controlled(axis)]
     if len(axis) < 2:
         return None

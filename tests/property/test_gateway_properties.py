@@ -27,6 +27,14 @@ from support.gateway_bench import (
     make_rig,
     sample_frame,
 )
+from support.protected_rigs import (
+    BOTH,
+    EMERGENCY_STOP,
+    ENABLE,
+    inputs_frame,
+    protected_rig,
+    read_back_frame,
+)
 
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from hil.core.controller_file import Law, PidLaw, TransferFunctionLaw
@@ -61,6 +69,13 @@ RIGS = tuple(
             ("horizontal", "rotation"),
         ),
     )
+)
+
+
+RIGS += (
+    protected_rig(EMERGENCY_STOP),
+    protected_rig(EMERGENCY_STOP + ENABLE, read_back=True),
+    protected_rig(EMERGENCY_STOP + "protected = false\n", protected=False),
 )
 
 
@@ -114,7 +129,25 @@ samples = st.builds(
     st.sampled_from(["no", "no", "no", "crc", "length", "repeated"]),
 )
 known_ids = st.sampled_from(
-    [0x000, 0x080, 0x090, 0x0A0, 0x190, 0x220, 0x701, 0x710, 0x720, 0x710, 0x720, 0x040, 0x004]
+    [
+        0x000,
+        0x080,
+        0x090,
+        0x0A0,
+        0x190,
+        0x220,
+        0x1A0,
+        0x290,
+        0x590,
+        0x5A0,
+        0x701,
+        0x710,
+        0x720,
+        0x710,
+        0x720,
+        0x040,
+        0x004,
+    ]
 )
 frames = st.builds(
     Frame,
@@ -154,6 +187,7 @@ class Subject:
         self.now_ns = START_NS
         self.counter = 0
         self.rpdo_counter = 0
+        self.optional_counter = 0
         self.silent_periods, self.state_before = 0, self.core.state
         self.sent_v: dict[str, float] = {name: axis.valve.centre_v for name, axis in rig.axes.items()}
         self.calls: list[tuple[Callable[[Gateway], Output], Output]] = []
@@ -189,8 +223,19 @@ class Subject:
         self.now_ns = max(self.now_ns, self.core.next_deadline_ns)
         self.deadline()
         self.now_ns += sample.after_ns
-        for frame in (ADC_UP, DAC_UP, self.sample(sample)):
+        for frame in (ADC_UP, DAC_UP, *self.optional_frames(), self.sample(sample)):
             self.receive(frame)
+
+    def optional_frames(self) -> list[Frame]:
+        """A closed contact, and a read-back of the last command, if the rig has them."""
+        self.optional_counter += 1
+        frames = [inputs_frame(BOTH, self.optional_counter)] if self.rig.inputs else []
+        if self.rig.dac.read_back:
+            pins = [5.0, 5.0, 5.0]
+            for name, axis in self.rig.axes.items():
+                pins[axis.valve.channel - 1] = self.sent_v[name]
+            frames.append(read_back_frame(pins, self.optional_counter, self.rig.dac.protected))
+        return frames
 
     def sample(self, step: Sample) -> Frame:
         self.counter += 1 + step.skipped - (step.damage == "repeated")

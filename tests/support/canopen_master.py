@@ -237,6 +237,26 @@ class CanopenMasterContract:
         master.network.send_message(0x701, b"\x05")
         assert master.dac.emergency() == (0, 0)
 
+    def test_sdo_reads_the_identity_and_a_name_in_segments(self, master: Master) -> None:
+        for board, name in (
+            (master.adc, b"Simulated potentiometer board"),
+            (master.dac, b"Simulated valve board"),
+        ):
+            sdo = board.node.sdo
+            assert sdo.upload(0x1008, 0) == name
+            identity = [int.from_bytes(sdo.upload(0x1018, subindex), "little") for subindex in range(5)]
+            assert identity == [4, 0, board.node.id, 0x10000, 1]
+            assert sdo.upload(0x1001, 0) == b"\0"
+
+    def test_sdo_sets_the_interval_of_the_heartbeat_and_aborts_other_downloads(self, master: Master) -> None:
+        sdo = master.adc.node.sdo
+        sdo.download(0x1017, 0, (50).to_bytes(2, "little"))
+        assert sdo.upload(0x1017, 0) == b"\x32\0"
+        for index, code in ((0x1000, 0x06010002), (0x2345, 0x06020000)):
+            with pytest.raises(canopen.SdoAbortedError) as caught:
+                sdo.download(index, 0, bytes(4))
+            assert caught.value.code == code
+
     def test_the_scanner_finds_both_boards(self, master: Master) -> None:
         master.network.scanner.reset()
         for board in (master.adc, master.dac):

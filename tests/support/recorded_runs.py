@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from threading import Event as Waiter
 from time import monotonic
 from unittest import mock
 
-import msgspec
-
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
-from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, RunHeader
-from hil.recording.mcap_writer import McapWriter
+from hil.recording.direct_writer import DirectWriter
+from hil.recording.handover import RunHeader
 from hil.recording.recorder import Recorder
 from support.constants import PERIOD_NS, PERIOD_S
 
@@ -118,38 +115,9 @@ def record_run(
     recorder.close({"ending": {"reason": "completed"}})
 
 
-def in_memory(path: Path) -> mock._patch[Callable[..., _WriterPipe]]:
+def in_memory(path: Path) -> mock._patch[Callable[..., DirectWriter]]:
     """Let recorders write to ``path`` themselves when they are closed: the same bytes, without a process."""
-    return mock.patch("hil.recording.recorder.RecorderPipe", _WriterPipe)
-
-
-class _WriterPipe:
-    """Stand-in for :class:`hil.recording.pipe.RecorderPipe`."""
-
-    has_backlog = False
-    failure = None
-
-    def __init__(self, path: Path, lossless: bool) -> None:
-        self.dropped: Counter[int] = Counter()
-        self.log: list[LogEntry] = []
-        self._path = path
-        self._written: list[bytes] = []
-
-    def send(self, block: bytearray, kind: bytes) -> None:
-        content = bytes(block[BLOCK_HEADER.size :])
-        if kind == HEADER:
-            self._writer = McapWriter(self._written.append, msgspec.msgpack.decode(content, type=RunHeader))
-        elif kind == BATCH:
-            self._writer.add_batch(content)
-        elif kind == END:
-            self._writer.finish(msgspec.msgpack.decode(content, type=dict[str, dict[str, str]]))
-
-    def push(self) -> None: ...
-
-    def drain(self) -> None: ...
-
-    def close(self) -> None:
-        self._path.write_bytes(b"".join(self._written))
+    return mock.patch("hil.recording.recorder.RecorderPipe", DirectWriter)
 
 
 def children_of(process_id: int) -> Sequence[int]:

@@ -18,6 +18,7 @@ PURE = (
     "firmware_sim.boards",
     "firmware_sim.arm",
     "firmware_sim.plants",
+    "firmware_sim.faults",
     "design.mathematics",
     "design.models",
     "design.identification",
@@ -38,10 +39,22 @@ MAY_IMPORT = {
     "hil.host": {"hil.core", "hil.links"},
     "hil.links": {"hil.core"},
     "hil.recording": {"hil.core", "hil.host"},
+    "hil.conversion": {"hil.core", "hil.links", "hil.recording"},
     "hil.operation": {"hil.core", "hil.host"},
     "hil.shells": {"hil.core", "hil.host", "hil.links", "hil.operation", "hil.recording"},
     "hil.views": {"hil.core", "hil.host", "hil.recording"},
     "hil.cli": {
+        "hil.core",
+        "hil.host",
+        "hil.links",
+        "hil.recording",
+        "hil.conversion",
+        "hil.operation",
+        "hil.shells",
+        "hil.views",
+    },
+    "hil.testing": {
+        "hil",
         "hil.core",
         "hil.host",
         "hil.links",
@@ -84,11 +97,12 @@ MAY_IMPORT = {
     "firmware_sim.boards": set(),
     "firmware_sim.plants": set(),
     "firmware_sim.arm": {"firmware_sim.plants"},
+    "firmware_sim.faults": {"firmware_sim.boards", "firmware_sim.arm", "firmware_sim.plants"},
 }
 """Folder to the folders of the same package that it may import, besides itself and the package's ``errors``.
 
 Modules that lie directly in a package, such as ``design.cli``, are the outermost layer: they may import every
-folder.
+folder. A folder that names the package itself may import those modules.
 """
 
 FROM_HIL_FOR_DESIGN = (
@@ -105,6 +119,7 @@ FROM_HIL_FOR_FIRMWARE = {
     "hil.core.frames",
     "hil.core.rig",
     "hil.core.setpoints",
+    "hil.core.suggestions",
 }
 """No wire code, guard or limit is shared: the simulated boards must find the gateway's mistakes."""
 
@@ -177,7 +192,7 @@ def test_pure_folders_do_no_io_and_read_no_clock(module: str) -> None:
 def test_hil_never_imports_design_and_only_its_outer_layer_imports_the_firmware(module: str) -> None:
     roots = {imported.partition(".")[0] for imported in imports(OURS["hil"][module])}
     assert "design" not in roots
-    assert "firmware_sim" not in roots or folder(module) == "hil.cli" or outer(module)
+    assert "firmware_sim" not in roots or folder(module) in ("hil.cli", "hil.testing") or outer(module)
 
 
 @pytest.mark.parametrize("module", sorted(OURS["firmware_sim"]))
@@ -248,6 +263,16 @@ def test_a_daemon_is_ready_without_the_slow_libraries(
     (loaded,) = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("loaded ")]
     assert "hil.core.rig" in loaded
     assert SLOW & set(loaded) == allowed
+
+
+def test_pytest_starts_with_the_plugin_without_slow_libraries() -> None:
+    """The plugin and its three parts are imported in every pytest session where the package is installed."""
+    parts = [f"hil.testing.{name}" for name in ("plugin", "fixtures", "evidence", "vcan_session")]
+    program = f"import sys, pytest, {', '.join(parts)}\nprint(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert set(parts) <= loaded
+    assert not loaded & (SLOW | {"can", "numpy", "msgspec", "firmware_sim", "hil.core.gateway"})
 
 
 @pytest.mark.parametrize("command", ["hil.cli", "firmware_sim.cli"])

@@ -30,6 +30,8 @@ REFUSED_MISSING = 0.8
 """Share of missing samples above which a record is refused."""
 MIN_USABLE = 0.5
 """Share of the record that must lie in stretches of known inputs of a useful length."""
+MAX_INTERRUPTIONS = 0.01
+"""Places at which the input is unknown, as a share of the samples, above which their effect is reported."""
 USEFUL_STRETCH = 5
 """Useful length of a stretch, in samples for each parameter of the model."""
 PERSISTENCE = 1e-11
@@ -40,6 +42,8 @@ SMALLEST_SPREAD = 1e-50
 """Range of a signal up to which it counts as constant."""
 MIN_LEVELS = 20
 """Number of different output values below which the resolution is reported."""
+_INPUT_HELD = "if the actuator kept its last input in the gaps of the table, give --input-held"
+"""Remedy for gaps in the input."""
 
 
 def check_record(experiment: Experiment, structure: Structure, expected: Expectations) -> list[Finding]:
@@ -103,6 +107,7 @@ def _size(experiment: Experiment, structure: Structure) -> Iterator[Finding]:
         return
     yield from _missing(experiment)
     yield from _stretches(experiment, structure)
+    yield from _interruptions(experiment)
 
 
 def _missing(experiment: Experiment) -> Iterator[Finding]:
@@ -142,8 +147,30 @@ def _stretches(experiment: Experiment, structure: Structure) -> Iterator[Finding
                 f"with a known input (limit {100.0 * MIN_USABLE:g} %); the longest has "
                 f"{max(lengths, default=0)}"
             ),
-            remedy="record without interruptions, or state that the input was held in the gaps",
+            remedy=f"record without interruptions, or {_INPUT_HELD}",
         )
+
+
+def _interruptions(experiment: Experiment) -> Iterator[Finding]:
+    count = len(list(runs(np.isfinite(experiment.u)))) - 1
+    share = count / len(experiment)
+    if share <= MAX_INTERRUPTIONS:
+        return
+    yield Finding(
+        kind=Kind.GAPS,
+        severity=Severity.NOTE,
+        record=experiment.name,
+        signal=experiment.names.u,
+        figure=100.0 * share,
+        limit=100.0 * MAX_INTERRUPTIONS,
+        unit="%",
+        text=(
+            f"the input is unknown at {count} places, {100.0 * share:.3g} % of the samples (limit "
+            f"{100.0 * MAX_INTERRUPTIONS:g} %). The plant's state is estimated anew after each, which makes "
+            "the model less accurate"
+        ),
+        remedy=_INPUT_HELD,
+    )
 
 
 def _period(experiment: Experiment, expected: Expectations) -> Iterator[Finding]:

@@ -116,19 +116,20 @@ class BoxJenkinsError:
 
     def errors(self, trial: Predicted) -> list[Array]:
         """Return the prediction error e (m,) on each run."""
-        found = []
-        for i, (block, run) in enumerate(zip(trial.columns, self.runs, strict=True)):
-            shared, common = self._shared(trial), self._common(trial, run)
-            local = trial.reduced.local_values(i, common, shared)
-            found.append(-np.concatenate([local, common, shared]) @ block)
-        return found
+        shared, values = self._shared(trial), self._common(trial)
+        common = [values[run.stretch] for run in self.runs]
+        local = trial.reduced.local_values(common, shared)
+        return [
+            -np.concatenate([*unknowns, shared]) @ block
+            for block, *unknowns in zip(trial.columns, local, common, strict=True)
+        ]
 
     def offsets(self, trial: Predicted) -> dict[int, Array]:
         """Return the offset and drift (c,) of each experiment."""
-        found = {}
-        for run in self.runs:
-            found[self.stretches[run.stretch].experiment] = self._common(trial, run)[self.structure.nf :]
-        return found
+        return {
+            self.stretches[stretch].experiment: common[self.structure.nf :]
+            for stretch, common in self._common(trial).items()
+        }
 
     def _plant_columns(self, stretch: Stretch, f: Array) -> Array:
         s = self.structure
@@ -154,10 +155,10 @@ class BoxJenkinsError:
     def _with_slopes(self, trial: Predicted) -> list[Array]:
         s = self.structure
         c, d, f = self.polynomials(trial.theta)
-        shared = self._shared(trial)
+        shared, values = self._shared(trial), self._common(trial)
         blocks = []
         for run, block, e in zip(self.runs, trial.columns, self.errors(trial), strict=True):
-            plant, common = trial.plant[run.stretch], self._common(trial, run)
+            plant, common = trial.plant[run.stretch], values[run.stretch]
             motion = common[: s.nf] @ plant[: s.nf] + shared[:-1] @ plant[s.nf + 1 + self.drift : -1]
             part = slice(run.first, run.last)
             noise = (
@@ -172,9 +173,11 @@ class BoxJenkinsError:
     def _shared(self, trial: Predicted) -> Array:
         return np.concatenate([trial.linear, [-1.0]])
 
-    def _common(self, trial: Predicted, run: Run) -> Array:
-        """Return the initial state of the plant, offset and drift on the stretch of a run."""
-        return trial.reduced.common_values(run.stretch, self._shared(trial))
+    def _common(self, trial: Predicted) -> dict[int, Array]:
+        """Return the initial state of the plant, offset and drift on each stretch that has a run."""
+        shared = self._shared(trial)
+        stretches = sorted({run.stretch for run in self.runs})
+        return {stretch: trial.reduced.common_values(stretch, shared) for stretch in stretches}
 
     def _weight(self, run: Run) -> Array:
         return self.stretches[run.stretch].root_weight[run.first : run.last]

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from design.identification.least_squares import solved, triangle
+from design.identification.estimators.stacking import stacked
+from design.identification.least_squares import solved, solved_each, triangle, triangles
 from design.mathematics.polynomials import Array
 
 
@@ -39,11 +40,19 @@ class Reduced(NamedTuple):
         rows = self.common[experiment]
         return solved(rows[:, : self.layout.common], -rows[:, self.layout.common :] @ shared)
 
-    def local_values(self, stretch: int, common: Array, shared: Array) -> Array:
-        """Return the initial state (n,) of a stretch, for values of the other columns."""
-        rows, n = self.local[stretch], self.layout.local
-        right = rows[:, n : n + self.layout.common] @ common + rows[:, n + self.layout.common :] @ shared
-        return solved(rows[:, :n], -right)
+    def local_values(self, common: Sequence[Array], shared: Array) -> Array:
+        """Return the initial state (s, n) of each stretch, for values of the other columns.
+
+        ``common`` (c,) is the offset and drift of the experiment of each stretch. With values of p columns,
+        ``common`` (c, p) and ``shared`` (k, p), the result is (s, n, p).
+        """
+        n, c = self.layout.local, self.layout.common
+        rows, others = np.stack(self.local), np.stack(common)
+        if shared.ndim == 1:
+            right = rows[:, :, n : n + c] @ others[..., None] + (rows[:, :, n + c :] @ shared)[..., None]
+            return solved_each(rows[:, :, :n], -right)[..., 0]
+        right = rows[:, :, n : n + c] @ others + rows[:, :, n + c :] @ shared
+        return solved_each(rows[:, :, :n], -right)
 
 
 def reduce(columns: Sequence[Array], experiments: Sequence[int], layout: Layout) -> Reduced:
@@ -52,11 +61,16 @@ def reduce(columns: Sequence[Array], experiments: Sequence[int], layout: Layout)
     ``experiments`` names the experiment of each stretch.
     """
     n, c = layout.local, layout.common
+    triangular = {
+        place: R
+        for places, blocks in stacked(columns)
+        for place, R in zip(places, triangles(blocks), strict=True)
+    }
     local: list[Array] = []
     below_local: dict[int, list[Array]] = {}
-    for block, experiment in zip(columns, experiments, strict=True):
-        R = triangle(block)
-        local.append(R[:n])
+    for place, experiment in enumerate(experiments):
+        R = triangular[place]
+        local.append(_with_rows(R[:n], n))
         below_local.setdefault(experiment, []).append(R[n:, n:])
     common: dict[int, Array] = {}
     rest: list[Array] = []
@@ -64,9 +78,8 @@ def reduce(columns: Sequence[Array], experiments: Sequence[int], layout: Layout)
         R = parts[0] if len(parts) == 1 else triangle(np.concatenate(parts).T)
         common[experiment] = R[:c]
         rest.append(R[c:, c:])
-    return Reduced(
-        layout, local, common, _square(rest[0] if len(rest) == 1 else triangle(np.concatenate(rest).T))
-    )
+    shared = rest[0] if len(rest) == 1 else triangle(np.concatenate(rest).T)
+    return Reduced(layout, local, common, _with_rows(shared, shared.shape[1]))
 
 
 def projected(columns: Sequence[Array], experiments: Sequence[int], reduced: Reduced) -> list[Array]:
@@ -76,15 +89,16 @@ def projected(columns: Sequence[Array], experiments: Sequence[int], reduced: Red
     """
     n, c = reduced.layout.local, reduced.layout.common
     unit = np.eye(reduced.layout.shared)[:, :-1]
+    values = {experiment: reduced.common_values(experiment, unit) for experiment in set(experiments)}
     found = []
-    for i, (block, experiment) in enumerate(zip(columns, experiments, strict=True)):
-        common = reduced.common_values(experiment, unit)
-        local = reduced.local_values(i, common, unit)
-        found.append(block[n + c : -1] + local.T @ block[:n] + common.T @ block[n : n + c])
+    local = reduced.local_values([values[experiment] for experiment in experiments], unit)
+    for block, experiment, state in zip(columns, experiments, local, strict=True):
+        common = values[experiment]
+        found.append(block[n + c : -1] + state.T @ block[:n] + common.T @ block[n : n + c])
     return found
 
 
-def _square(R: Array) -> Array:
-    """Return R with rows of zeros below, where fewer rows than columns remained."""
-    missing = R.shape[1] - len(R)
+def _with_rows(R: Array, count: int) -> Array:
+    """Return R with rows of zeros below, so that it has ``count`` of them."""
+    missing = count - len(R)
     return np.concatenate([R, np.zeros((missing, R.shape[1]))]) if missing > 0 else R

@@ -107,12 +107,13 @@ class EquationError:
     def errors(self, trial: Predicted) -> list[Array]:
         """Return the prediction error e (m,) on each run."""
         shared = np.concatenate([trial.linear, [-1.0]])
-        found = []
-        for i, (block, run) in enumerate(zip(trial.columns, self.runs, strict=True)):
-            common = trial.reduced.common_values(run.experiment, shared)
-            local = trial.reduced.local_values(i, common, shared)
-            found.append(-np.concatenate([local, common, shared]) @ block)
-        return found
+        values = {i: trial.reduced.common_values(i, shared) for i in {run.experiment for run in self.runs}}
+        common = [values[run.experiment] for run in self.runs]
+        local = trial.reduced.local_values(common, shared)
+        return [
+            -np.concatenate([*unknowns, shared]) @ block
+            for block, *unknowns in zip(trial.columns, local, common, strict=True)
+        ]
 
     def offset(self, trial: Predicted, experiment: int) -> Array:
         """Return the offset and drift (c,) of an experiment on the right side of A y = B u + …"""

@@ -27,6 +27,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from design.identification.estimators.elimination import Layout, Reduced, projected, reduce
+from design.identification.estimators.stacking import filtered_differences
 from design.identification.least_squares import solved
 from design.identification.models.difference_basis import basis, differences
 from design.identification.records.experiment import Experiment, Stretch, stretches
@@ -113,15 +114,17 @@ class SimulationError:
         """Fit the linear unknowns to the data for given dynamics. None where the simulation overflows."""
         f, numerators, lag = dynamics
         n, nb = len(f) - 1, len(numerators)
+        impulse = np.zeros(max(map(len, self.stretches)))
+        impulse[0] = 1.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            free = differences(lfilter([1.0], f, impulse), n, 0)
+            forced = filtered_differences([stretch.u for stretch in self.stretches], f, nb, lag)
         columns = []
-        for stretch, common in zip(self.stretches, self._common, strict=True):
+        for stretch, common, driven in zip(self.stretches, self._common, forced, strict=True):
             block = np.empty((n + len(common) + nb + 1, len(stretch)))
-            impulse = np.zeros(len(stretch))
-            impulse[0] = 1.0
-            with np.errstate(over="ignore", invalid="ignore"):
-                block[:n] = differences(lfilter([1.0], f, impulse), n, 0)
-                block[n + len(common) : -1] = differences(lfilter([1.0], f, stretch.u), nb, lag)
+            block[:n] = free[:, : len(stretch)]
             block[n : n + len(common)] = common
+            block[n + len(common) : -1] = driven
             block[-1] = stretch.y
             columns.append(block)
         if not all(
@@ -141,11 +144,12 @@ class SimulationError:
         """
         n, nb = len(simulated.dynamics.f) - 1, len(simulated.dynamics.numerators)
         blocks = []
-        for block, fitted in zip(simulated.columns, self.fitted(simulated), strict=True):
-            w = lfilter([1.0], simulated.dynamics.f, fitted.motion)
+        parts = self.fitted(simulated)
+        slopes_of_f = filtered_differences([part.motion for part in parts], simulated.dynamics.f, n, 1)
+        for block, fitted, by_f in zip(simulated.columns, parts, slopes_of_f, strict=True):
             extended = np.empty((len(block) + n, block.shape[1]))
             extended[: len(block) - 1] = block[:-1]
-            np.negative(differences(w, n, 1), out=extended[len(block) - 1 : -1])
+            np.negative(by_f, out=extended[len(block) - 1 : -1])
             extended[-1] = fitted.residual
             blocks.append(extended)
         R = self._reduce(blocks, Layout(n, len(self.powers), nb + n + 1)).shared
@@ -156,10 +160,11 @@ class SimulationError:
         """Return the weighted derivatives (v + p, m) of the output on each stretch, nuisances eliminated."""
         n, c = len(simulated.dynamics.f) - 1, len(self.powers)
         columns = []
-        for block, fitted in zip(simulated.columns, self.fitted(simulated), strict=True):
-            S = -differences(lfilter([1.0], simulated.dynamics.f, fitted.motion), n, 1)
-            A, J = self._chained(block[n + c : -1].T, S.T, simulated, slopes)
-            columns.append(np.concatenate([block[: n + c], A.T, J.T, np.zeros((1, len(fitted.motion)))]))
+        motions = [part.motion for part in self.fitted(simulated)]
+        slopes_of_f = filtered_differences(motions, simulated.dynamics.f, n, 1)
+        for block, S in zip(simulated.columns, slopes_of_f, strict=True):
+            A, J = self._chained(block[n + c : -1].T, -S.T, simulated, slopes)
+            columns.append(np.concatenate([block[: n + c], A.T, J.T, np.zeros((1, block.shape[1]))]))
         reduced = self._reduce(columns, Layout(n, c, len(columns[0]) - n - c))
         found = projected(columns, [stretch.experiment for stretch in self.stretches], reduced)
         return [block * stretch.root_weight for block, stretch in zip(found, self.stretches, strict=True)]
@@ -169,10 +174,12 @@ class SimulationError:
         n, nb, c = len(simulated.dynamics.f) - 1, len(simulated.dynamics.numerators), len(self.powers)
         beta = basis(nb) @ simulated.b
         shared = np.concatenate([beta, [-1.0]])
+        experiments = [stretch.experiment for stretch in self.stretches]
+        values = {i: simulated.reduced.common_values(i, shared) for i in set(experiments)}
+        states = simulated.reduced.local_values([values[i] for i in experiments], shared)
         found = []
-        for i, (stretch, block) in enumerate(zip(self.stretches, simulated.columns, strict=True)):
-            common = simulated.reduced.common_values(stretch.experiment, shared)
-            local = simulated.reduced.local_values(i, common, shared)
+        for stretch, block, local in zip(self.stretches, simulated.columns, states, strict=True):
+            common = values[stretch.experiment]
             motion = local @ block[:n] + beta @ block[n + c : -1]
             residual = stretch.y - motion - common @ block[n : n + c]
             found.append(Fitted(stretch, motion, common, residual))

@@ -26,14 +26,15 @@ def basis(count: int) -> Array:
 
 
 def differences(signal: Array, count: int, lag: int) -> Array:
-    """Return the signal (m,), delayed by ``lag`` samples, and its first ``count - 1`` differences (count, m).
+    """Return signals (..., m), delayed by ``lag`` samples, and their first ``count - 1`` differences.
 
-    The signal is 0 before its first sample.
+    The result has the shape (..., count, m). A signal is 0 before its first sample.
     """
-    found = np.zeros((count, len(signal)))
-    if count and lag < len(signal):
-        found[0, lag:] = signal[: len(signal) - lag]
+    length = signal.shape[-1]
+    found = np.zeros((*signal.shape[:-1], count, length))
+    if count and lag < length:
+        found[..., 0, lag:] = signal[..., : length - lag]
     for i in range(1, count):
-        found[i, 0] = found[i - 1, 0]
-        np.subtract(found[i - 1, 1:], found[i - 1, :-1], out=found[i, 1:])
+        found[..., i, 0] = found[..., i - 1, 0]
+        np.subtract(found[..., i - 1, 1:], found[..., i - 1, :-1], out=found[..., i, 1:])
     return found

@@ -124,6 +124,40 @@ def encode_tpdo1_adc(
     )
 
 
+TPDO1_DAC = 0x1A0
+TPDO1_DAC_LENGTH = 8
+_TPDO1_DAC = Struct("<hhhBB")
+
+
+class Tpdo1Dac(NamedTuple):
+    """Signals of a frame TPDO1_DAC, in V."""
+
+    valve1: float
+    valve2: float
+    valve3: float
+    counter: int
+    crc8: int
+
+
+def decode_tpdo1_dac(data: bytes) -> Tpdo1Dac:
+    """Return the signals of a frame TPDO1_DAC. ``data`` must have its full length."""
+    valve1, valve2, valve3, counter, crc8 = _TPDO1_DAC.unpack(data)
+    return Tpdo1Dac(
+        valve1 * 0.00030517578125, valve2 * 0.00030517578125, valve3 * 0.00030517578125, counter, crc8
+    )
+
+
+def encode_tpdo1_dac(valve1: float, valve2: float, valve3: float, counter: int, crc8: int) -> bytes:
+    """Return the data of a frame TPDO1_DAC."""
+    return _TPDO1_DAC.pack(
+        round(valve1 / 0.00030517578125),
+        round(valve2 / 0.00030517578125),
+        round(valve3 / 0.00030517578125),
+        counter,
+        crc8,
+    )
+
+
 RPDO1_DAC = 0x220
 RPDO1_DAC_LENGTH = 8
 _RPDO1_DAC = Struct("<hhhBB")
@@ -156,6 +190,30 @@ def encode_rpdo1_dac(valve1: float, valve2: float, valve3: float, counter: int, 
         counter,
         crc8,
     )
+
+
+TPDO2_ADC = 0x290
+TPDO2_ADC_LENGTH = 3
+_TPDO2_ADC = Struct("<BBB")
+
+
+class Tpdo2Adc(NamedTuple):
+    """Signals of a frame TPDO2_ADC."""
+
+    inputs: int
+    counter: int
+    crc8: int
+
+
+def decode_tpdo2_adc(data: bytes) -> Tpdo2Adc:
+    """Return the signals of a frame TPDO2_ADC. ``data`` must have its full length."""
+    inputs, counter, crc8 = _TPDO2_ADC.unpack(data)
+    return Tpdo2Adc(inputs, counter, crc8)
+
+
+def encode_tpdo2_adc(inputs: int, counter: int, crc8: int) -> bytes:
+    """Return the data of a frame TPDO2_ADC."""
+    return _TPDO2_ADC.pack(inputs, counter, crc8)
 
 
 HEARTBEAT_GATEWAY = 0x701

@@ -54,6 +54,15 @@ class TestCsv:
         assert np.isnan(experiment.u[100]) and not np.isnan(experiment.u[50])
         assert np.isfinite(experiment.y).sum() == 198
 
+    def test_the_input_of_a_missing_row_can_be_stated_to_be_held(self, tmp_path: Path) -> None:
+        lines = rows()
+        lines[50] = f"{50 * TS:.4f},,0.05"
+        del lines[100]
+        path = write(tmp_path / "data.csv", lines)
+        experiment = read_record(path, input_held_in_gaps=True).experiment
+        assert experiment.u[[50, 100]].tolist() == experiment.u[[49, 99]].tolist()
+        assert np.isnan(experiment.y[100])
+
     @pytest.mark.parametrize(
         ("lines", "header", "complaint"),
         [

@@ -52,6 +52,16 @@ def findings(u: Array, y: Array, **arguments: object) -> dict[Kind, Finding]:
     return {finding.kind: finding for finding in reversed(listed)}
 
 
+def test_many_places_without_a_known_input_are_noted_with_the_option_that_helps() -> None:
+    lost = random().random(SAMPLES) < 0.03
+    u = np.where(lost, np.nan, U)
+    note = findings(u, Y)[Kind.GAPS]
+    assert (note.severity, note.signal) == (Severity.NOTE, "u")
+    assert note.figure > note.limit == 1.0
+    assert "--input-held" in note.remedy
+    assert Kind.GAPS not in findings(U, np.where(lost, np.nan, Y))
+
+
 def test_nothing_is_said_against_a_good_record() -> None:
     found = identify(U, Y, PERIOD_S, expected=Expectations(PERIOD_S, (-5.0, 5.0), (-0.15, 0.15), None))
     assert found.findings == ()

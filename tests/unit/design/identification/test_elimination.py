@@ -28,10 +28,9 @@ def test_the_result_is_that_of_one_large_problem() -> None:
     np.testing.assert_allclose(shared, expected[8:])
     assert reduced.shared[3, 3] ** 2 == pytest.approx(cost[0])
     values = np.concatenate([shared, [-1.0]])
-    for i, experiment in enumerate(experiments):
-        common = reduced.common_values(experiment, values)
-        np.testing.assert_allclose(common, expected[6 + experiment : 7 + experiment])
-        np.testing.assert_allclose(reduced.local_values(i, common, values), expected[2 * i : 2 * i + 2])
+    common = [reduced.common_values(experiment, values) for experiment in experiments]
+    np.testing.assert_allclose(np.concatenate(common), expected[6 + np.array(experiments)])
+    np.testing.assert_allclose(reduced.local_values(common, values).ravel(), expected[:6])
     orthogonal = np.concatenate(projected(blocks, experiments, reduced), axis=1)
     np.testing.assert_allclose(orthogonal @ A[:, :8], 0.0, atol=1e-12)
     np.testing.assert_allclose(orthogonal @ orthogonal.T, reduced.shared[:3, :3].T @ reduced.shared[:3, :3])

@@ -10,6 +10,8 @@ from firmware_sim.arm.event_text import FORMS, event_text, parse_event
 from firmware_sim.arm.events import (
     AnyEvent,
     BrokenWire,
+    EmergencyStop,
+    EnableSwitch,
     FrictionFactor,
     Leak,
     Payload,
@@ -30,6 +32,8 @@ from hil.core.errors import DocumentError
         ("leak:vertical,1,1e-8@2", Leak(at_s=2.0, axis="vertical", chamber=1, conductance_m3_s_pa=1e-8)),
         ("stuck-spool:vertical@3", StuckSpool(at_s=3.0, axis="vertical")),
         ("stuck-spool:vertical,false@4", StuckSpool(at_s=4.0, axis="vertical", stuck=False)),
+        ("emergency-stop:pressed@1", EmergencyStop(at_s=1.0, button="pressed")),
+        ("enable-switch:held@2", EnableSwitch(at_s=2.0, switch="held")),
         ("broken-wire:horizontal@3", BrokenWire(at_s=3.0, axis="horizontal")),
         ("broken-wire:horizontal,false@3.25", BrokenWire(at_s=3.25, axis="horizontal", broken=False)),
     ],

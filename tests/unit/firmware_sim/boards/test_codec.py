@@ -99,6 +99,8 @@ def test_identifiers_are_those_of_the_dbc() -> None:
         "EMCY_ADC": codec.EMERGENCY_ID + codec.ADC_NODE,
         "EMCY_DAC": codec.EMERGENCY_ID + codec.DAC_NODE,
         "TPDO1_ADC": codec.TPDO1_ID + codec.ADC_NODE,
+        "TPDO1_DAC": codec.TPDO1_ID + codec.DAC_NODE,
+        "TPDO2_ADC": codec.TPDO2_ID + codec.ADC_NODE,
         "RPDO1_DAC": codec.RPDO1_ID + codec.DAC_NODE,
         "HEARTBEAT_GATEWAY": codec.HEARTBEAT_ID + codec.GATEWAY_NODE,
         "HEARTBEAT_ADC": codec.HEARTBEAT_ID + codec.ADC_NODE,

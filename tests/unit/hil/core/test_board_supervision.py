@@ -27,6 +27,7 @@ from firmware_sim.boards.faults import DacFaults
 from hil.core.frames import Frame
 from hil.core.gateway import BUS_OFF
 from hil.core.life_cycle import LifeCycleState, Trigger
+from hil.core.nmt_starts import IMMEDIATE_STARTS
 from hil.core.output import LogEntry, Output, Severity
 from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
@@ -248,13 +249,14 @@ class TestThrottling:
         reports = [entry for _ in range(512) for entry in gateway.receive(*frames).log]
         assert 15 <= len(reports) <= 40
 
-    def test_a_board_is_started_at_most_once_per_period(self) -> None:
+    def test_a_board_is_started_at_most_once_per_period_and_not_for_ever(self) -> None:
         gateway = make_stepped()
-        for _ in range(10):
+        for periods in range(1, 11):
             gateway.deadline()
             gateway.receive(*[ADC_BOOT, ADC_UP, DAC_BOOT] * 20)
+            assert len([frame for frame in gateway.transcript.frames if frame.id == codec.NMT]) <= 2 * periods
         starts = [frame.data[1] for frame in gateway.transcript.frames if frame.id == codec.NMT]
-        assert starts == [0x10, 0x20] * 10
+        assert starts == [0x10, 0x20] * IMMEDIATE_STARTS
 
     def test_a_reset_ends_the_throttling_of_reports(self) -> None:
         gateway = make_stepped()

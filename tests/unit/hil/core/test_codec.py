@@ -37,8 +37,9 @@ class TestCompiled:
             assert getattr(codec, message.name) == message.frame_id
             assert getattr(codec, f"{message.name}_LENGTH") == message.length
 
-    def test_the_initial_value_of_a_valve_in_the_dbc_is_its_centre(self) -> None:
-        signals = DATABASE.get_message_by_name("RPDO1_DAC").signals
+    @pytest.mark.parametrize("message", ["RPDO1_DAC", "TPDO1_DAC"])
+    def test_the_initial_value_of_a_valve_in_the_dbc_is_its_centre(self, message: str) -> None:
+        signals = DATABASE.get_message_by_name(message).signals
         assert [signal.initial for signal in signals if signal.name.startswith("Valve")] == [5.0] * 3
 
     @pytest.mark.parametrize("name", ["EMCY_ADC", "EMCY_DAC"])
@@ -54,6 +55,8 @@ class TestCompiled:
             ("EMCY_ADC", 0x080 + 0x10),
             ("EMCY_DAC", 0x080 + 0x20),
             ("TPDO1_ADC", 0x180 + 0x10),
+            ("TPDO1_DAC", 0x180 + 0x20),
+            ("TPDO2_ADC", 0x280 + 0x10),
             ("RPDO1_DAC", 0x200 + 0x20),
             ("HEARTBEAT_GATEWAY", 0x700 + 0x01),
             ("HEARTBEAT_ADC", 0x700 + 0x10),

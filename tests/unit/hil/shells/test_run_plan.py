@@ -133,6 +133,15 @@ class TestEnding:
         assert [trigger for _, trigger in run.triggers] == [Trigger.ARM, Trigger.START]
         assert set(run.bench.transcript.commands()) == {CENTRED}
 
+    def test_a_gateway_that_stops_by_itself_ends_the_run(self) -> None:
+        """The enable switch was released: the gateway leaves running without a trigger of the plan."""
+        run = PlannedRun(duration_s=10.0)
+        run.periods(40)
+        run.bench.operate(Trigger.STOP)
+        run.until()
+        assert run.plan.ending is Ending.RELEASED
+        assert run.bench.boards.dac.valve_v == CENTRED
+
     def test_a_fault_ends_the_run_without_a_trigger(self) -> None:
         run = PlannedRun(duration_s=10.0)
         run.periods(40)

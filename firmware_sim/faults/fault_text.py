@@ -1,0 +1,102 @@
+"""Faults as texts: ``lose:sample,5@2``, ``hang:adc@running+0.5``, ``unplug@vertical>0.05/0.3``.
+
+A text is ``NAME[:VALUES]@WHEN[/FOR]``. NAME is the kind of fault in a scenario file with hyphens in place of
+spaces. VALUES are in the order of the file's keys, separated by commas; a value that the file may omit may be
+omitted here. WHEN is a time in seconds from the boards' first sample, or a condition, or both:
+``CONDITION+SECONDS``. FOR is the duration in seconds. The name of an event of the arm
+(``firmware_sim.arm.event_text``) is a fault too.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Final, get_args
+
+import msgspec
+
+from firmware_sim.arm.event_text import event_text, parse_event
+from firmware_sim.arm.events import AnyEvent
+from firmware_sim.faults.condition import NUMBER, POSITION, RUNNING
+from firmware_sim.faults.kinds import AnyFault, ArmFault, Fault
+from hil.core.documents import from_plain
+from hil.core.errors import DocumentError
+from hil.core.suggestions import did_you_mean
+
+FORMS: Final = (
+    "frames: lose:FRAME[,AMOUNT], late:FRAME,S[,AMOUNT], repeat:FRAME[,AMOUNT], reorder:FRAME[,AMOUNT], "
+    "corrupt:FRAME[,AMOUNT], alter:FRAME[,AMOUNT], miscount:FRAME,STEP[,AMOUNT], foreign:FRAME,INTERVAL_S, "
+    "flood:ID,INTERVAL_S; bus: bus-off, unplug; boards: reset:BOARD, hang:BOARD, babble:BOARD,INTERVAL_S, "
+    "twin:BOARD; sensors: freeze-sensor:AXIS, drift-sensor:AXIS,V_PER_S, noisy-sensor:AXIS,RMS_V, "
+    "offset-sensor:AXIS,V; valves: stick-valve:AXIS, slow-valve:AXIS,LAG_S; host, in simulated time only: "
+    "stall:S, step-clock:S; and every event of the arm"
+)
+"""Forms of all faults without their time, for help texts and errors."""
+WHEN_FORMS: Final = "@SECONDS, @running, @AXIS>POSITION or @CONDITION+SECONDS, then optionally /DURATION_S"
+
+_FORM: Final = re.compile(
+    rf"(?P<name>[a-z-]+)(?::(?P<values>[^@]+))?"
+    rf"@(?:(?P<at>{NUMBER})|(?P<when>{RUNNING}|{POSITION})(?:\+(?P<after>{NUMBER}))?)(?:/(?P<for>{NUMBER}))?"
+)
+_BASE_FIELDS: Final = frozenset(field.name for field in msgspec.structs.fields(Fault))
+_KINDS: Final[dict[str, type[Fault]]] = {
+    str(kind.__struct_config__.tag).replace(" ", "-"): kind
+    for kind in get_args(AnyFault)
+    if kind is not ArmFault
+}
+_EVENTS: Final = frozenset(str(kind.__struct_config__.tag).replace(" ", "-") for kind in get_args(AnyEvent))
+
+
+def parse_fault(text: str) -> AnyFault:
+    """Return the fault that a text describes. Raises DocumentError with the text, the value and its limit."""
+    source = f"--fault {text!r}"
+    match = _FORM.fullmatch(text)
+    if match is None:
+        raise DocumentError(f"{source}: not a fault; write NAME:VALUES and its time ({WHEN_FORMS}). {FORMS}")
+    plain: dict[str, Any] = {"when": match["when"] or "", "at_s": float(match["at"] or match["after"] or 0)}
+    if match["for"] is not None:
+        plain["for_s"] = float(match["for"])
+    name = match["name"]
+    if name in _EVENTS:
+        event = parse_event(f"{name}:{match['values']}@0")
+        return _convert({**plain, "fault": "arm", "event": msgspec.to_builtins(event)}, source)
+    if name not in _KINDS:
+        hint = did_you_mean(name, [*_KINDS, *_EVENTS])
+        raise DocumentError(f"{source}: there is no fault {name!r}{hint}. {FORMS}")
+    kind = _KINDS[name]
+    fields = [field for field in msgspec.structs.fields(kind) if field.name not in _BASE_FIELDS]
+    values = match["values"].split(",") if match["values"] else []
+    if not sum(field.required for field in fields) <= len(values) <= len(fields):
+        keys = ", ".join(field.name for field in fields) or "no values"
+        raise DocumentError(f"{source}: {name} takes {keys}; {match['values'] or ''!r} has {len(values)}")
+    plain |= {field.name: _value(value) for field, value in zip(fields, values, strict=False)}
+    return _convert({**plain, "fault": kind.__struct_config__.tag}, source)
+
+
+def fault_text(fault: AnyFault) -> str:
+    """Return the text of a fault, from which :func:`parse_fault` makes an equal fault."""
+    plain = msgspec.to_builtins(fault)
+    kind = plain.pop("fault")
+    at_s, when, for_s = (plain.pop(key) for key in ("at_s", "when", "for_s"))
+    if isinstance(fault, ArmFault):
+        head = event_text(fault.event).partition("@")[0]
+    else:
+        values = ",".join(map(_text, plain.values()))
+        head = kind.replace(" ", "-") + (f":{values}" if values else "")
+    moment = f"{when}+{_text(at_s)}" if when and at_s else when or _text(at_s)
+    return f"{head}@{moment}" + ("" if for_s is None else f"/{_text(for_s)}")
+
+
+def _convert(plain: dict[str, Any], source: str) -> AnyFault:
+    fault: AnyFault = from_plain(plain, AnyFault, source)  # type: ignore[arg-type]
+    return fault
+
+
+def _text(value: Any) -> str:
+    return str(value).removesuffix(".0")
+
+
+def _value(text: str) -> Any:
+    """Return the value that TOML would give; a string needs no quotation marks here."""
+    if re.fullmatch(r"[-+]?\d{1,18}|0x[0-9A-Fa-f]{1,8}", text):
+        return int(text, 0) if text.startswith("0x") else int(text)
+    return float(text) if re.fullmatch(NUMBER, text) else text

@@ -1,0 +1,392 @@
+"""A simulated rig with faults of its bus, boards, wires and plant, and of the gateway's host.
+
+``FaultyRig`` has the methods of ``SimulatedRig`` and applies faults to what passes through them. It is a
+state machine too: it reads no clock, and the same frames, times, faults and seed give the same bytes. So
+faults work in simulated time and in real time. The faults of the host need the lockstep shell, which reads
+``FaultyRig.host``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from heapq import heappop, heappush
+from random import Random
+from typing import Final
+
+from firmware_sim.boards.adc import AdcBoard
+from firmware_sim.boards.canopen_slave import Frames, NmtCommand
+from firmware_sim.boards.codec import ADC_NODE, DAC_NODE, NMT_ID, encode_values
+from firmware_sim.boards.dac import DacBoard
+from firmware_sim.boards.faults import AdcFaults, DacFaults
+from firmware_sim.faults.condition import Condition, Observation, parse_condition
+from firmware_sim.faults.fault_text import fault_text, parse_fault
+from firmware_sim.faults.frame_faults import FrameChanger, counter_of, counts_of
+from firmware_sim.faults.host import HostTiming
+from firmware_sim.faults.kinds import (
+    FRAME_IDS,
+    AnyFault,
+    ArmFault,
+    Babble,
+    BusOff,
+    DriftSensor,
+    Flood,
+    Foreign,
+    FreezeSensor,
+    Hang,
+    NoisySensor,
+    OffsetSensor,
+    Reset,
+    SlowValve,
+    Stall,
+    StepClock,
+    StickValve,
+    Twin,
+    Unplug,
+)
+from firmware_sim.faults.wires import Wires
+from firmware_sim.simulated_rig import SimulatedRig
+from hil.core.errors import DocumentError
+from hil.core.frames import Frame
+from hil.core.rig import Rig
+
+BUS_OFF_FRAME: Final = Frame(0x040, bytes(8), is_error=True)
+"""Error frame that reports bus-off (``CAN_ERR_BUSOFF`` of ``linux/can/error.h``)."""
+_SAMPLE_ID: Final = FRAME_IDS["sample"]
+_COMMAND_ID: Final = FRAME_IDS["command"]
+_COUNTS_PER_V: Final = (1 << 15) / 10.0
+
+
+class FaultyRig:
+    """The boards and the plant of ``boards``, with faults.
+
+    ``rig`` is the rig file of ``boards``. ``faults`` are armed from the start; :meth:`inject` adds others.
+    The randomness of a fault depends on ``seed`` and on the fault's place in the list alone.
+
+    Raises DocumentError if a fault names an axis that the rig does not have, or acts on the pneumatic arm
+    when another plant is simulated.
+    """
+
+    def __init__(
+        self, rig: Rig, boards: SimulatedRig, faults: Iterable[AnyFault | str] = (), *, seed: int = 0
+    ) -> None:
+        self.boards = boards
+        self.host = HostTiming()
+        """State of the gateway's host, which the lockstep shell reads."""
+        self.begun: list[tuple[int, str]] = []
+        """Time in nanoseconds and text of each fault that has begun."""
+        self._rig = rig
+        self._seed = seed
+        self._count = 0
+        self._wires = boards.wires = Wires()
+        self._waiting: list[tuple[Condition, AnyFault, Random]] = []
+        self._agenda: list[tuple[int, int, Callable[[int], Frames]]] = []
+        self._scheduled = 0
+        self._changers: list[tuple[AnyFault, FrameChanger]] = []
+        self._silences: list[AnyFault] = []
+        """Faults during which no frame passes."""
+        self._twins: list[tuple[AnyFault, AdcBoard | DacBoard]] = []
+        self._ended: set[int] = set()
+        self._last: dict[int, Frame] = {}
+        """Last frame on the bus by identifier."""
+        self._copied: dict[int, Frame] = {}
+        """Frame that a foreign node repeats, by the identity of its fault."""
+        self._last_of_board: dict[str, Frame] = {}
+        self._has_sampled = self._is_running = False
+        centre_v = [5.0, 5.0, 5.0]
+        for axis in rig.axes.values():
+            centre_v[axis.valve.channel - 1] = axis.valve.centre_v
+        self._centre_counts = [round(volts * _COUNTS_PER_V) for volts in centre_v]
+        for fault in faults:
+            self._arm(fault)
+
+    def inject(self, fault: AnyFault | str, now_ns: int) -> Frames:
+        """Arm a fault whose ``at_s`` counts from now, or from its condition. Returns frames that it causes.
+
+        Raises DocumentError as the constructor does.
+        """
+        parsed, random = self._checked(fault)
+        if parsed.when:
+            self._waiting.append(
+                (parse_condition(parsed.when, list(self._rig.axes), "fault"), parsed, random)
+            )
+            return ()
+        self._schedule(now_ns + round(parsed.at_s * 1e9), partial(self._begin, parsed, random))
+        return self._run_agenda(now_ns)
+
+    def begun_by_time(self) -> dict[str, str]:
+        """Return the faults that have begun, by their instant in seconds; those of one instant are joined."""
+        joined: dict[str, str] = {}
+        for at_ns, text in self.begun:
+            instant = f"{at_ns * 1e-9:.4f} s"
+            joined[instant] = f"{joined[instant]} {text}" if instant in joined else text
+        return joined
+
+    @property
+    def next_deadline_ns(self) -> int:
+        """Time of the next call of ``on_deadline``."""
+        deadline_ns = self.boards.next_deadline_ns
+        if self._agenda:
+            deadline_ns = min(deadline_ns, self._agenda[0][0])
+        for _, twin in self._twins:
+            deadline_ns = min(deadline_ns, twin.next_deadline_ns)
+        return deadline_ns
+
+    def start(self, now_ns: int) -> Frames:
+        """Power the boards on. Returns their boot-up messages."""
+        return self._to_gateway(self.boards.start(now_ns), now_ns)
+
+    def receive(self, frame: Frame, now_ns: int) -> Frames:
+        """Handle a frame from the gateway. Returns the frames that arrive at the gateway."""
+        frames: Frames = ()
+        if self._agenda and self._agenda[0][0] < now_ns:
+            frames = self._run_agenda(now_ns)
+        self._last[frame.id] = frame
+        if not (self._waiting or self._changers or self._silences or self._twins):
+            self._note_command(frame)
+            answers = self.boards.receive(frame, now_ns)
+            return frames + (self._to_gateway(answers, now_ns) if answers else ())
+        if frame.id == _COMMAND_ID:
+            self._note_command(frame)
+            frames += self._judge_conditions(now_ns)
+        for arriving in self._pass(frame, now_ns, to_gateway=False):
+            frames += self._at_boards(arriving, now_ns)
+        return frames
+
+    def on_deadline(self, now_ns: int) -> Frames:
+        """Handle what is due at ``now_ns``: faults first, then the boards. Returns frames to the gateway."""
+        frames = self._run_agenda(now_ns) if self._agenda and self._agenda[0][0] <= now_ns else ()
+        if now_ns >= self.boards.next_deadline_ns:
+            frames += self._to_gateway(self.boards.on_deadline(now_ns), now_ns)
+        for _, twin in self._twins:
+            if now_ns >= twin.next_deadline_ns:
+                frames += self._to_gateway(twin.on_deadline(now_ns), now_ns)
+        return frames
+
+    # What passes
+
+    def _at_boards(self, frame: Frame, now_ns: int) -> Frames:
+        """Give the boards a frame that arrives there, and pass on their answers."""
+        answers = self.boards.receive(frame, now_ns)
+        for _, twin in self._twins:
+            answers += twin.receive(frame, now_ns)
+        return self._to_gateway(answers, now_ns)
+
+    def _to_gateway(self, frames: Frames, now_ns: int) -> Frames:
+        """Pass frames that the boards send. Returns those that arrive at the gateway now."""
+        arriving: Frames = ()
+        for frame in frames:
+            self._last[frame.id] = frame
+            self._last_of_board["adc" if frame.id & 0x7F == ADC_NODE else "dac"] = frame
+            if frame.id == _SAMPLE_ID:
+                self._has_sampled = True
+                if self._waiting:
+                    arriving += self._judge_conditions(now_ns)
+            if self._changers or self._silences:
+                arriving += self._pass(frame, now_ns, to_gateway=True)
+            else:
+                arriving += (frame,)
+        return arriving
+
+    def _pass(self, frame: Frame, now_ns: int, *, to_gateway: bool) -> Frames:
+        """Let the active faults change a frame. Returns what arrives now; the rest is on the agenda."""
+        if self._silences:
+            return ()
+        arrivals = [(frame, 0)]
+        for _, changer in self._changers:
+            if changer.identifier == frame.id:
+                arrivals = [
+                    (changed, delay_ns + more_ns)
+                    for before, delay_ns in arrivals
+                    for changed, more_ns in changer.change(before)
+                ]
+        now: Frames = ()
+        for arriving, delay_ns in arrivals:
+            if delay_ns:
+                self._schedule(now_ns + delay_ns, partial(self._arrive_late, arriving, to_gateway))
+            else:
+                now += (arriving,)
+        return now
+
+    def _arrive_late(self, frame: Frame, to_gateway: bool, now_ns: int) -> Frames:
+        if self._silences:
+            return ()
+        return (frame,) if to_gateway else self._at_boards(frame, now_ns)
+
+    def _from_stranger(self, frame: Frame, now_ns: int) -> Frames:
+        """Put a frame of a node that is no part of the rig on the bus: gateway and boards receive it."""
+        if self._silences:
+            return ()
+        return (frame, *self._at_boards(frame, now_ns))
+
+    # Conditions
+
+    def _note_command(self, frame: Frame) -> None:
+        if frame.id == _COMMAND_ID and not self._is_running:
+            offsets = zip(counts_of(frame), self._centre_counts, strict=True)
+            self._is_running = any(abs(counts - centre) > 1 for counts, centre in offsets)
+
+    def _judge_conditions(self, now_ns: int) -> Frames:
+        """Schedule the faults whose condition is met by the last frames, and begin those that are due."""
+        seen = Observation(self._has_sampled, self._is_running, self._positions())
+        met = [entry for entry in self._waiting if entry[0].is_met(seen)]
+        if not met:
+            return ()
+        self._waiting = [entry for entry in self._waiting if entry not in met]
+        for _, fault, random in met:
+            self._schedule(now_ns + round(fault.at_s * 1e9), partial(self._begin, fault, random))
+        return self._run_agenda(now_ns)
+
+    def _positions(self) -> dict[str, float]:
+        sample = self._last.get(_SAMPLE_ID)
+        if sample is None or not any(condition.axis for condition, _, _ in self._waiting):
+            return {}
+        counts = counts_of(sample)
+        return {
+            name: axis.potentiometer.position(counts[axis.potentiometer.channel - 1] / _COUNTS_PER_V)
+            for name, axis in self._rig.axes.items()
+        }
+
+    def _arm(self, fault: AnyFault | str) -> None:
+        parsed, random = self._checked(fault)
+        condition = parse_condition(parsed.when, list(self._rig.axes), f"fault {fault_text(parsed)!r}")
+        self._waiting.append((condition, parsed, random))
+
+    def _checked(self, fault: AnyFault | str) -> tuple[AnyFault, Random]:
+        parsed = parse_fault(fault) if isinstance(fault, str) else fault
+        check_faults([parsed], self._rig)
+        if isinstance(parsed, ArmFault) and not hasattr(self.boards.plant, "apply"):
+            raise DocumentError(
+                f"fault {fault_text(parsed)!r} acts on the pneumatic arm, but another plant is simulated"
+            )
+        random = Random(f"fault {self._count}, seed {self._seed}")
+        self._count += 1
+        return parsed, random
+
+    # The agenda
+
+    def _schedule(self, due_ns: int, action: Callable[[int], Frames]) -> None:
+        self._scheduled += 1  # keeps the order of actions that are due at the same instant
+        heappush(self._agenda, (due_ns, self._scheduled, action))
+
+    def _run_agenda(self, now_ns: int) -> Frames:
+        frames: Frames = ()
+        while self._agenda and self._agenda[0][0] <= now_ns:
+            due_ns, _, action = heappop(self._agenda)
+            frames += action(due_ns)
+        return frames
+
+    # Begin and end of a fault
+
+    def _begin(self, fault: AnyFault, random: Random, now_ns: int) -> Frames:
+        self.begun.append((now_ns, fault_text(fault)))
+        frames = self._effect(fault, random, now_ns)
+        if fault.for_s is not None:
+            self._schedule(now_ns + round(fault.for_s * 1e9), partial(self._end, fault))
+        return frames
+
+    def _effect(self, fault: AnyFault, random: Random, now_ns: int) -> Frames:
+        match fault:
+            case (
+                Foreign(interval_s=interval_s) | Flood(interval_s=interval_s) | Babble(interval_s=interval_s)
+            ):
+                return self._send_repeatedly(fault, round(interval_s * 1e9), 128, now_ns)
+            case BusOff():
+                self._silences.append(fault)
+                return (BUS_OFF_FRAME,)
+            case Unplug():
+                self._silences.append(fault)
+            case Reset(board=name):
+                board = self.boards.adc if name == "adc" else self.boards.dac
+                return self._to_gateway(board.start(now_ns), now_ns)
+            case Hang(board=name):
+                self._set_hung(name, True)
+            case Twin(board=name):
+                self._twins.append((fault, self._second_board(name, now_ns)))
+            case FreezeSensor() | DriftSensor() | NoisySensor() | OffsetSensor():
+                channel = self._rig.axes[fault.axis].potentiometer.channel - 1
+                self._wires.break_sensor(fault, channel, now_ns, random)
+            case StickValve() | SlowValve():
+                self._wires.break_valve(fault, self._rig.axes[fault.axis].valve.channel - 1)
+            case ArmFault(event=event):
+                self.boards.plant.apply(event)  # type: ignore[attr-defined]  # checked when it was armed
+            case Stall(stall_s=stall_s):
+                self.host.stall(now_ns, round(stall_s * 1e9))
+            case StepClock(step_s=step_s):
+                self.host.step_clock(round(step_s * 1e9))
+            case _:
+                self._changers.append((fault, FrameChanger(fault, random)))
+        return ()
+
+    def _end(self, fault: AnyFault, now_ns: int) -> Frames:
+        self._ended.add(id(fault))
+        self._changers = [entry for entry in self._changers if entry[0] is not fault]
+        self._twins = [entry for entry in self._twins if entry[0] is not fault]
+        self._silences = [silence for silence in self._silences if silence is not fault]
+        match fault:
+            case Hang(board=name):
+                self._set_hung(name, False)
+            case FreezeSensor() | DriftSensor() | NoisySensor() | OffsetSensor() | StickValve() | SlowValve():
+                self._wires.repair(fault)
+            case StepClock(step_s=step_s):
+                self.host.step_clock(-round(step_s * 1e9))
+            case _:
+                pass
+        return ()
+
+    def _send_repeatedly(
+        self, fault: Foreign | Flood | Babble, interval_ns: int, counter: int, now_ns: int
+    ) -> Frames:
+        """Send one frame of a node that sends without being asked, and schedule the next one."""
+        if id(fault) in self._ended:
+            return ()
+        self._schedule(
+            now_ns + interval_ns,
+            partial(self._send_repeatedly, fault, interval_ns, (counter + 1) & 0xFF),
+        )
+        match fault:
+            case Flood(identifier=identifier):
+                return self._from_stranger(Frame(identifier, bytes(8)), now_ns)
+            case Babble(board=name):
+                frame = self._last_of_board.get(name)
+                return () if frame is None else self._to_gateway((frame,), now_ns)
+            case Foreign(frame=name):
+                identifier = FRAME_IDS[name]
+                if identifier not in self._last:
+                    return ()
+                copied = self._copied.setdefault(id(fault), self._last[identifier])
+                if name in ("sample", "command") and counter_of(copied) is not None:
+                    copied = Frame(copied.id, encode_values(counts_of(copied), counter))
+                return self._from_stranger(copied, now_ns)
+
+    def _set_hung(self, name: str, hung: bool) -> None:
+        if name == "adc":
+            self.boards.adc.faults = self.boards.adc.faults or AdcFaults()
+            self.boards.adc.faults.hung = hung
+        else:
+            self.boards.dac.faults = self.boards.dac.faults or DacFaults()
+            self.boards.dac.faults.hung = hung
+
+    def _second_board(self, name: str, now_ns: int) -> AdcBoard | DacBoard:
+        """Return a second board with the same node id, which is operational already."""
+        options = {"resolution_bits": 12, "heartbeat_ns": 100_000_000}
+        twin: AdcBoard | DacBoard = (
+            AdcBoard(self._rig, self.boards.plant.potentiometer_v, **options)
+            if name == "adc"
+            else DacBoard(self._rig, lambda _volts, _now_ns: None, **options)
+        )
+        twin.start(now_ns)
+        node = ADC_NODE if name == "adc" else DAC_NODE
+        twin.receive(Frame(NMT_ID, bytes((NmtCommand.START, node))), now_ns)
+        return twin
+
+
+def check_faults(faults: Iterable[AnyFault], rig: Rig) -> None:
+    """Check that ``rig`` has every axis that the faults name. Raises DocumentError."""
+    for fault in faults:
+        axis = getattr(fault, "axis", None)
+        if axis is not None and axis not in rig.axes:
+            raise DocumentError(
+                f"fault {fault_text(fault)!r}: no axis {axis!r}; the rig has {', '.join(rig.axes)}"
+            )
+        parse_condition(fault.when, list(rig.axes), f"fault {fault_text(fault)!r}")

@@ -1,0 +1,59 @@
+"""Writes a recording in this process when it is closed: for simulated time, where no deadline waits."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import msgspec
+
+from hil.core.errors import RecordingError, RecordingExistsError
+from hil.core.output import LogEntry
+from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, RunHeader
+from hil.recording.mcap_writer import McapWriter
+
+
+class DirectWriter:
+    """Takes the blocks of a :class:`hil.recording.recorder.Recorder`, as a recorder process would.
+
+    The file has the same bytes as that of a recorder process. Nothing is written before :meth:`close`, which
+    raises RecordingExistsError if the file exists, and RecordingError if it cannot be written.
+    """
+
+    has_backlog = False
+    failure: str | None = None
+
+    def __init__(self, path: Path, lossless: bool = True) -> None:
+        self.dropped: Counter[int] = Counter()
+        self.log: list[LogEntry] = []
+        self._path = path
+        self._written: list[bytes] = []
+
+    def send(self, block: bytearray, kind: bytes) -> None:
+        """Add a block to the file."""
+        content = bytes(block[BLOCK_HEADER.size :])
+        if kind == HEADER:
+            self._writer = McapWriter(self._written.append, msgspec.msgpack.decode(content, type=RunHeader))
+        elif kind == BATCH:
+            self._writer.add_batch(content)
+        elif kind == END:
+            self._writer.finish(msgspec.msgpack.decode(content, type=dict[str, dict[str, str]]))
+
+    def push(self) -> None:
+        """Return at once: no block waits."""
+
+    def drain(self) -> None:
+        """Return at once: no block waits."""
+
+    def close(self) -> None:
+        """Write the file."""
+        try:
+            with self._path.open("xb") as file:
+                file.writelines(self._written)
+        except FileExistsError:
+            raise RecordingExistsError(
+                f"{self._path}: exists already; remove it or choose another name, because nothing is "
+                "overwritten"
+            ) from None
+        except OSError as error:
+            raise RecordingError(f"{self._path}: cannot be written: {error.strerror}") from None

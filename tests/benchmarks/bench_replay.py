@@ -1,0 +1,135 @@
+"""Timing error of a replay onto vcan beside canplayer's, and the cost of an export beside that of reading.
+
+    python tests/benchmarks/bench_replay.py
+
+Replay: both play the gateway's frames of one recorded run onto the same vcan0, one after the other, while
+candump takes the kernel's time stamps. The error is the time from the recorded instant to the stamp, counted
+from the most punctual frame. Export: one hour of three axes to Parquet, beside reading the same signals into
+numpy; processor time. The script runs itself where vcan0 exists. Exit status 1 if a target is missed.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import numpy as np
+from numpy.typing import NDArray
+
+RUN_S = 10
+HOUR_PERIODS = 321_429
+MAX_EXPORT_RATIO = 3.0
+PLAYERS = {
+    "hil replay": [
+        sys.executable,
+        "-m",
+        "hil.cli",
+        "replay",
+        "run.mcap",
+        "--bus",
+        "vcan0",
+        "--as",
+        "gateway",
+    ],
+    "canplayer": ["canplayer", "-I", "played.log", "vcan0=recorded"],
+    "canplayer -g 0": ["canplayer", "-g", "0", "-I", "played.log", "vcan0=recorded"],
+}
+LINE = re.compile(r"\((\d+\.\d+)\) \S+ (\S+)")
+
+
+def stamped(log: str) -> list[tuple[float, str]]:
+    """Return time and frame of each line of a candump log."""
+    return [(float(match[1]), match[2]) for match in LINE.finditer(log)]
+
+
+def errors_ms(player: list[str], folder: Path) -> NDArray[np.float64]:
+    """Return the timing error of each frame of a player, in ms."""
+    recorded = stamped((folder / "played.log").read_text())
+    seen_log = folder / "seen.log"
+    with seen_log.open("w") as output:
+        candump = subprocess.Popen(["candump", "-L", "-r", "4000000", "vcan0"], stdout=output)
+        time.sleep(1.0)  # candump has no other sign that it listens
+        subprocess.run(player, check=True, cwd=folder, capture_output=True)
+        time.sleep(0.5)
+        candump.send_signal(signal.SIGINT)
+        candump.wait()
+    seen = stamped(seen_log.read_text())[: len(recorded)]
+    assert [frame for _, frame in seen] == [frame for _, frame in recorded], "each frame, in order"
+    late_s = np.array([at for at, _ in seen]) - np.array([at for at, _ in recorded])
+    return (late_s - late_s.min()) * 1e3
+
+
+def bench_on_vcan(folder: Path) -> bool:
+    """Print the timing errors of all players, and return whether ours is below canplayer's at p99."""
+    p99_ms = {}
+    for name, command in PLAYERS.items():
+        late_ms = errors_ms(command, folder)
+        p50, p99_ms[name] = np.percentile(late_ms, (50, 99))
+        print(f"{name:15} p50 {p50:6.3f}, p99 {p99_ms[name]:6.3f}, worst {late_ms.max():6.3f} ms", flush=True)
+    ours, peer = p99_ms["hil replay"], p99_ms["canplayer"]
+    print(f"p99: canplayer's is {peer / ours:.1f} times ours")
+    return ours < peer
+
+
+def bench_replay(folder: Path) -> bool:
+    """Record a run in real time, and compare the players on a real vcan0."""
+    hil = [sys.executable, "-m", "hil.cli"]
+    run = ["run", "--duration", str(RUN_S), "--record", "run.mcap"]
+    subprocess.run([*hil, *run], check=True, cwd=folder, capture_output=True)
+    subprocess.run([*hil, "export", "run.mcap", "--to", "candump", "-o", "all.log"], check=True, cwd=folder)
+    sent = [line for line in (folder / "all.log").read_text().splitlines() if line.endswith(" T")]
+    played = "\n".join(re.sub(r"\) \S+ (\S+) T", r") recorded \1", line) for line in sent)
+    (folder / "played.log").write_text(played + "\n")
+    command = [*hil, "vcan", "--", sys.executable, __file__, str(folder)]
+    return subprocess.run(command).returncode == 0
+
+
+def bench_export(folder: Path) -> bool:
+    """Compare the export of an hour to Parquet with reading it, and return whether the target is met."""
+    from support.recorded_runs import record_run
+
+    from hil.conversion.export import Format, export
+    from hil.conversion.signals import Selection
+    from hil.recording import open_recording
+
+    path = folder / "hour.mcap"
+    record_run(path, HOUR_PERIODS)
+
+    def read() -> None:
+        recording = open_recording(path)
+        for axis in recording.axes:
+            recording.axis(axis)
+
+    def write() -> None:
+        export(open_recording(path), folder / "hour.parquet", Format.PARQUET, Selection(), force=True)
+
+    spent_s = []
+    for work in (read, write):
+        rounds = []
+        for _ in range(3):
+            began = time.process_time()
+            work()
+            rounds.append(time.process_time() - began)
+        spent_s.append(min(rounds))
+    read_s, write_s = spent_s
+    size_mb = (folder / "hour.parquet").stat().st_size / 1e6
+    print(
+        f"one hour, three axes: read {read_s:.2f} s, exported to Parquet {write_s:.2f} s ({size_mb:.1f} MB)"
+    )
+    print(f"ratio {write_s / read_s:.2f}, target {MAX_EXPORT_RATIO:g}")
+    return write_s <= MAX_EXPORT_RATIO * read_s
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        sys.exit(0 if bench_on_vcan(Path(sys.argv[1])) else 1)
+    with tempfile.TemporaryDirectory() as name:
+        passed = [bench_replay(Path(name)), bench_export(Path(name))]
+    sys.exit(0 if all(passed) else 1)

@@ -1,0 +1,104 @@
+"""The steps of a tuning that move nothing: results folders, setpoints of the verification, processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+from support.constants import PERIOD_S
+from support.recorded_runs import following, lag, record_run, step
+
+from design.output.tuning_results import Condition, Job
+from design.tuning import claim_folder
+from design.tuning_experiments import APPROACH_S, REST_S, start_position, step_command, step_setpoint
+from hil.core.errors import DocumentError
+from hil.core.setpoints import parse_setpoint
+
+NOMINAL = Condition(name="nominal")
+JOB = Job("vertical", 0.4, 60.0, "OE(1,3,1)", [NOMINAL])
+
+
+def with_experiment(folder: Path, job: Job = JOB) -> Path:
+    claim_folder(folder, job)
+    (folder / "nominal-1.mcap").write_bytes(b"")
+    return folder
+
+
+class TestResultsFolder:
+    def test_an_empty_folder_is_claimed_and_the_same_job_resumes(self, tmp_path: Path) -> None:
+        assert not claim_folder(tmp_path / "out", JOB)
+        assert claim_folder(with_experiment(tmp_path / "out"), JOB)
+
+    def test_every_option_that_differs_is_named_with_both_values(self, tmp_path: Path) -> None:
+        other = msgspec.structs.replace(JOB, amplitude=0.3, bus="can0")
+        with pytest.raises(DocumentError) as refused:
+            claim_folder(with_experiment(tmp_path), other)
+        text = str(refused.value)
+        assert "holds the results of another tuning" in text
+        assert "--amplitude was 0.4, and is 0.3 now; --bus was not given, and is can0 now" in text
+        assert "another --out" in text
+
+    def test_other_conditions_and_other_contents_are_named(self, tmp_path: Path) -> None:
+        folder = with_experiment(tmp_path, msgspec.structs.replace(JOB, digests={"rig.toml": "0"}))
+        other = msgspec.structs.replace(JOB, conditions=[Condition(name="other")], digests={"rig.toml": "1"})
+        with pytest.raises(DocumentError, match=r"names other conditions; rig\.toml has other content now"):
+            claim_folder(folder, other)
+
+    def test_a_folder_without_a_complete_experiment_is_taken_over(self, tmp_path: Path) -> None:
+        claim_folder(tmp_path, JOB)
+        (tmp_path / "partial-nominal-1.mcap").write_bytes(b"")
+        other = msgspec.structs.replace(JOB, amplitude=0.3)
+        assert not claim_folder(tmp_path, other)
+        assert claim_folder(with_experiment(tmp_path, other), other)
+
+    def test_unreadable_options_are_refused_with_the_reason(self, tmp_path: Path) -> None:
+        (tmp_path / "tune.json").write_text("{}")
+        with pytest.raises(DocumentError, match=r"whose options cannot be read.*axis.*another --out"):
+            claim_folder(tmp_path, JOB)
+
+    def test_a_folder_with_other_files_is_left_alone(self, tmp_path: Path) -> None:
+        (tmp_path / "thesis.tex").write_text("")
+        with pytest.raises(DocumentError, match="holds no tuning; give another --out"):
+            claim_folder(tmp_path, JOB)
+
+
+class TestSetpointOfAVerification:
+    SETTLING_S = 1.2
+    STEP_S = APPROACH_S + REST_S + SETTLING_S
+
+    def test_it_begins_where_the_axis_is_and_rests_before_the_step(self) -> None:
+        setpoint = parse_setpoint("csv:step.csv", step_setpoint(-0.09, 0.08, 0.1, self.SETTLING_S))
+        assert setpoint.at(0.0) == pytest.approx(-0.09)
+        assert setpoint.at(APPROACH_S) == setpoint.at(self.STEP_S - 1e-6) == pytest.approx(0.08)
+        assert setpoint.at(self.STEP_S) == setpoint.at(99.0) == pytest.approx(0.1)
+        assert setpoint.max_speed == pytest.approx(1.875 * 0.17 / APPROACH_S, rel=0.01)
+
+    def test_the_run_lasts_until_the_step_has_settled(self) -> None:
+        command = step_command(JOB, NOMINAL, Path("c.json"), Path("s.csv"), self.SETTLING_S)
+        duration_s = float(command[command.index("--duration") + 1])
+        assert duration_s >= self.STEP_S + 3.0 * self.SETTLING_S
+        assert "vertical=csv:s.csv" in command
+        assert {"horizontal=hold", "rotation=hold", "--lockstep"} <= set(command)
+
+    def test_the_simulated_arm_starts_as_before_and_a_real_axis_where_it_was_left(
+        self, tmp_path: Path
+    ) -> None:
+        signals = following(step(0.1, 1.0), lag(0.1, 1.0, 0.2))
+        record_run(tmp_path / "nominal-1.mcap", round(3.0 / PERIOD_S), signals)
+        assert start_position(JOB, NOMINAL, tmp_path) == pytest.approx(0.0, abs=1e-3)
+        real = msgspec.structs.replace(JOB, bus="can0")
+        assert start_position(real, NOMINAL, tmp_path) == pytest.approx(0.1, abs=1e-3)
+
+
+def test_an_experiment_does_not_outlive_a_tuning_that_was_killed() -> None:
+    script = """
+import os, signal, subprocess, sys
+from design.tuning_experiments import end_with_parent
+subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"], preexec_fn=end_with_parent)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    # The experiment shares the output: it is closed when both have ended.
+    subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, timeout=60)

@@ -1,0 +1,251 @@
+"""``hil replay`` onto a bus and with another controller: options, questions, reports and exit status."""
+
+from __future__ import annotations
+
+import io
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from hil.cli import main
+from hil.cli.replay_onto_bus import is_virtual
+from hil.core.errors import LinkError
+from hil.core.wire import codec
+from hil.links.in_process import InProcessBus
+from hil.links.link import Link
+from hil.lockstep_rig import run_experiment
+
+BUS = "inproc:replay"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("replay") / "run.mcap"
+    run_experiment(path, duration_s=0.3, setpoints={"vertical": "hold"})
+    return path
+
+
+@pytest.fixture
+def folder(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "run.mcap").write_bytes(recorded.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def listener() -> Iterator[InProcessBus]:
+    bus = InProcessBus("replay")
+    yield bus
+    bus.shutdown()
+
+
+def heard(bus: InProcessBus) -> list[can.Message]:
+    return list(iter(lambda: bus.recv(0), None))
+
+
+class Terminal(io.StringIO):
+    """A standard input at which somebody sits."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_boards_frames_arrive_and_the_timing_is_reported(
+    folder: Path, listener: InProcessBus, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", "run.mcap", "--bus", BUS, "--speed", "10"]) == 0
+    frames = heard(listener)
+    assert {frame.arbitration_id for frame in frames} == {0x190, 0x710, 0x720}
+    first, timing = capsys.readouterr().out.splitlines()
+    assert first == f"replayed   {len(frames)} frames of the boards onto {BUS}; others sent 0"
+    assert timing.startswith("timing     error p50 0.")
+    assert "p99" in timing
+    assert "worst" in timing
+
+
+def test_the_gateways_frames_end_with_centred_valves(
+    folder: Path, listener: InProcessBus, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", "run.mcap", "--bus", BUS, "--as", "gateway", "--speed", "10"]) == 0
+    commands = [frame.data for frame in heard(listener) if frame.arbitration_id == codec.RPDO1_DAC]
+    counters = [codec.decode_rpdo1_dac(data).counter for data in commands]
+    assert counters == [(counters[0] + k) & 0xFF for k in range(len(counters))]
+    assert all(codec.decode_rpdo1_dac(data)[:3] == (5.0, 5.0, 5.0) for data in commands[-3:])
+    assert "valves     centred: the command was sent 3 times\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("loop", "status"), [(True, 0), (False, 130)])
+def test_a_signal_ends_the_replay_with_centred_valves(
+    folder: Path,
+    listener: InProcessBus,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    loop: bool,
+    status: int,
+) -> None:
+    send = Link.send
+    sent = 0
+
+    def interrupted(link: Link, frame: object) -> bool:
+        nonlocal sent
+        sent += 1
+        if sent == 20:
+            signal.raise_signal(signal.SIGINT)
+        return send(link, frame)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Link, "send", interrupted)
+    command = ["replay", "run.mcap", "--bus", BUS, "--as", "gateway", "--speed", "10"]
+    assert main([*command, *(["--loop"] if loop else [])]) == status
+    output = capsys.readouterr().out
+    assert "replayed   20 frames of the gateway" in output
+    assert "valves     centred" in output
+
+
+def test_a_bus_that_fails_is_an_error_after_the_report(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_link: Link, _frame: object) -> bool:
+        raise LinkError("vcan0: cannot send: Network is down")
+
+    monkeypatch.setattr(Link, "send", fail)
+    assert main(["replay", "run.mcap", "--bus", BUS, "--as", "gateway"]) == 2
+    shown = capsys.readouterr()
+    assert "the command that centres them was sent 0 times, not 3" in shown.out
+    assert "Network is down" in shown.err
+
+
+def test_frames_that_the_bus_refuses_are_reported(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Link, "send", lambda _link, _frame: False)
+    assert main(["replay", "run.mcap", "--bus", BUS, "--speed", "50"]) == 1
+    assert "frames: the queue of the bus was full" in capsys.readouterr().out
+
+
+class TestConfirmation:
+    """On a bus with wires, valves move."""
+
+    @pytest.fixture(autouse=True)
+    def with_wires(self, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+        if "virtual" not in request.node.name:
+            monkeypatch.setattr("hil.cli.replay_onto_bus.is_virtual", lambda _bus: False)
+
+    @pytest.mark.parametrize("side", ["boards", "gateway"])
+    def test_without_a_terminal_it_is_refused(
+        self, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, side: str
+    ) -> None:
+        monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+        assert main(["replay", "run.mcap", "--bus", BUS, "--as", side]) == 2
+        error = capsys.readouterr().err
+        assert f"{BUS} is not virtual" in error
+        assert "valves" in error
+        assert "confirm it with --yes" in error
+
+    @pytest.mark.parametrize("answer", ["n\n", "\n", "", "yes please\n"])
+    def test_only_yes_is_yes(
+        self, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, answer: str
+    ) -> None:
+        monkeypatch.setattr("sys.stdin", Terminal(answer))
+        assert main(["replay", "run.mcap", "--bus", BUS, "--as", "gateway"]) == 2
+        assert "not confirmed; nothing was sent" in capsys.readouterr().err
+
+    @pytest.mark.parametrize(("options", "answer"), [([], "y\n"), (["--yes"], "")])
+    def test_yes_opens_the_bus(
+        self,
+        folder: Path,
+        listener: InProcessBus,
+        monkeypatch: pytest.MonkeyPatch,
+        options: list[str],
+        answer: str,
+    ) -> None:
+        monkeypatch.setattr("sys.stdin", Terminal(answer))
+        command = ["replay", "run.mcap", "--bus", BUS, "--as", "gateway", "--speed", "20"]
+        assert main([*command, *options]) == 0
+        assert heard(listener)
+
+    @pytest.mark.parametrize(
+        ("bus", "expected"),
+        [
+            ("vcan0", True), ("socketcan:vcan1", True), ("udp:43113", True), ("inproc:x", True),
+            ("can0", False), ("slcan:/dev/ttyACM0", False), ("socketcan:can1", False), ("mycan", False),
+        ],
+    )  # fmt: skip
+    def test_virtual_buses(self, bus: str, expected: bool) -> None:
+        assert is_virtual(bus) is expected
+
+    def test_an_adapter_that_is_named_vcan_is_not_virtual(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        (tmp_path / "vcan7" / "device").mkdir(parents=True)
+        monkeypatch.setattr("hil.cli.replay_onto_bus._NETWORK", tmp_path)
+        assert not is_virtual("vcan7")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--speed", "2"], "--speed is for a replay onto a bus; add --bus"),
+        (["--from", "0"], "--from is for a replay onto a bus"),
+        (["--to", "0"], "--to is for a replay onto a bus"),
+        (["--as", "boards"], "--as is for a replay onto a bus"),
+        (["--loop"], "--loop is for a replay onto a bus"),
+        (["--bus", BUS, "--speed", "0"], "0 is not from 0.01 to 100"),
+        (["--bus", BUS, "--speed", "fast"], "'fast' is not a number"),
+        (["--bus", BUS, "--as", "gateway", "--fresh"], "--fresh is for --as boards"),
+        (["--bus", BUS, "--as", "gateway", "--answer-sync"], "--answer-sync is for --as boards"),
+        (["--bus", BUS, "--from", "2", "--to", "1"], "--from 2 s is not before --to 1 s"),
+        (["--bus", BUS, "--from", "90"], "has no frame of the boards to send in this range"),
+        (["--bus", "sim"], "start `firmware-sim --bus udp:43113`"),
+        (["--bus", "nowhere:0"], "names no bus"),
+        (["other.mcap", "--bus", BUS], "2 recordings are given; replay them one by one"),
+        (["--bus", BUS, "--with-controller", "vertical=ppid"], "exclude each other"),
+        (["-o", "plot.png"], "-o is for the plot of --with-controller"),
+        (["--with-controller", "vertical"], "--with-controller vertical: write AXIS=FILE"),
+        (["--with-controller", "elbow=ppid"], "no axis 'elbow'"),
+        (["--with-controller", "vertical=none.json"], "there is no file none.json"),
+        (["--with-controller", "rotation=ppid"], "input_unit: m, but the axis is in rad"),
+        (["--with-controller", "vertical=hls", "-o", "x.pdf"], "a plot's name ends in .png"),
+        (["--with-controller", "vertical=hls", "--with-controller", "vertical=zn"], "is given twice"),
+    ],
+)
+def test_wrong_options_are_refused_in_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    before = sorted(folder.iterdir())
+    try:
+        status = main(["replay", "run.mcap", *arguments])
+    except SystemExit as ended:
+        status = int(str(ended.code))
+    assert status == 2
+    assert message in capsys.readouterr().err.splitlines()[0]
+    assert sorted(folder.iterdir()) == before
+
+
+def test_another_controller_is_drawn_beside_the_recorded_one(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["replay", "run.mcap", "--with-controller", "vertical=hls", "--with-controller"]
+    assert main([*command, "rotation=rotation"]) == 0
+    output = capsys.readouterr().out
+    assert "vertical: hls beside ppid, " in output
+    assert "rotation: rotation beside rotation, " in output
+    assert "largest difference of the command  0.0000 V" in output
+    assert "open loop: the measurements are the recorded ones" in output
+    assert output.endswith("plot       run-with-controller.png\n")
+    assert Path("run-with-controller.png").read_bytes().startswith(b"\x89PNG")
+    assert main([*command, "rotation=rotation"]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_a_recording_without_the_rig_is_replayed_only_as_boards(
+    folder: Path, listener: InProcessBus, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hil.recording.reader import Recording
+
+    monkeypatch.setattr(Recording, "documents", {})
+    assert main(["replay", "run.mcap", "--bus", BUS, "--as", "gateway"]) == 2
+    assert "only --as boards is possible" in capsys.readouterr().err
+    assert main(["replay", "run.mcap", "--bus", BUS, "--speed", "50"]) == 0
