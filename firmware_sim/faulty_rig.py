@@ -369,12 +369,15 @@ class FaultyRig:
 
     def _second_board(self, name: str, now_ns: int) -> AdcBoard | DacBoard:
         """Return a second board with the same node id, which is operational already."""
-        options = {"resolution_bits": 12, "heartbeat_ns": 100_000_000}
-        twin: AdcBoard | DacBoard = (
-            AdcBoard(self._rig, self.boards.plant.potentiometer_v, **options)
-            if name == "adc"
-            else DacBoard(self._rig, lambda _volts, _now_ns: None, **options)
-        )
+        bits, heartbeat_ns = 12, 100_000_000
+        twin: AdcBoard | DacBoard
+        if name == "adc":
+            sample = self.boards.plant.potentiometer_v
+            twin = AdcBoard(self._rig, sample, resolution_bits=bits, heartbeat_ns=heartbeat_ns)
+        else:
+            twin = DacBoard(
+                self._rig, lambda _volts, _now_ns: None, resolution_bits=bits, heartbeat_ns=heartbeat_ns
+            )
         twin.start(now_ns)
         node = ADC_NODE if name == "adc" else DAC_NODE
         twin.receive(Frame(NMT_ID, bytes((NmtCommand.START, node))), now_ns)

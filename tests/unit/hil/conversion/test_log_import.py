@@ -270,7 +270,7 @@ def test_an_import_that_fails_half_way_leaves_no_file(
 def test_a_full_disk_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = tmp_path / "run.log"
     log.write_text("(1.0) can0 080#\n")
-    monkeypatch.setattr("support.recorded_runs._WriterPipe.failure", "No space left on device")
+    monkeypatch.setattr("support.recorded_runs.DirectWriter.failure", "No space left on device")
     with pytest.raises(RecordingError, match=r"back\.mcap: cannot be written: No space left on device"):
         import_log(log, tmp_path / "back.mcap", RIG, DBC)
     assert [path.name for path in tmp_path.iterdir()] == ["run.log"]
