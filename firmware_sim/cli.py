@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import gc
 import os
@@ -48,18 +49,27 @@ def main(argv: list[str] | None = None) -> int:
         try:
             print(_description(rig, plant_text, spec), flush=True)
             _take_priority()
-            simulate(boards, bus, _watch(plant) if options.watch else None)
+            simulate(boards, bus, _watch(plant, options))
         except HilError as error:
             return _report(error, 1)
     return 0
 
 
-def _watch(plant: Plant) -> Watch:
+def _watch(plant: Plant, options: argparse.Namespace) -> Watch | None:
+    """Return the display of the arm, or the input of its events, or None."""
     from firmware_sim.arm.arm import Arm
-    from firmware_sim.watch import ArmWatch
 
-    assert isinstance(plant, Arm)
-    return ArmWatch(plant)
+    if not isinstance(plant, Arm):
+        return None
+    if options.watch:
+        from firmware_sim.watch import ArmWatch
+
+        return ArmWatch(plant)
+    if options.event_descriptor is not None:
+        from firmware_sim.event_input import EventInput
+
+        return EventInput(plant, options.event_descriptor)
+    return None
 
 
 def _take_priority() -> None:
@@ -92,6 +102,7 @@ def parser() -> CommandParser:
         metavar="PID",
         help="end when process PID ends, which must be the parent of this process",
     )
+    parser.add_argument("--event-descriptor", type=int, help=argparse.SUPPRESS)  # hil daemon gives events
     return parser
 
 

@@ -75,14 +75,22 @@ def host_versions() -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def boards_process(spec: str, options: argparse.Namespace) -> Iterator[None]:
-    """Run the simulated boards in another process, which the kernel kills if this one is killed."""
+def boards_process(
+    spec: str, options: argparse.Namespace, events: socket.socket | None = None
+) -> Iterator[None]:
+    """Run the simulated boards in another process, which the kernel kills if this one is killed.
+
+    They read events of the arm from the socket ``events``.
+    """
     # -P: modules in the working directory are not imported.
     command = [sys.executable, "-P", "-m", "firmware_sim", "--bus", spec, "--parent-pid", str(os.getpid())]
     if options.rig is not None:
         command += ["--rig", str(options.rig)]
+    if events is not None:
+        command += ["--event-descriptor", str(events.fileno())]
     process = subprocess.Popen(
         [*command, *plant_arguments(options)],
+        pass_fds=() if events is None else (events.fileno(),),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         start_new_session=True,  # Ctrl-C must not end the boards before the gateway has centred the valves

@@ -41,8 +41,8 @@ STATUS_PERIODS = 9
 MAX_DROPPED_IN_ROW = 20
 """This many messages in a row that the socket process did not take mean that it has stopped."""
 
-Action = Callable[[Any, str], Reply]
-"""Takes a request that is not for the core, and who asked. Returns the reply."""
+Action = Callable[[Session, Any, str], Reply]
+"""Takes the session, a request that is not for the core, and who asked. Returns the reply."""
 
 
 class Described(NamedTuple):
@@ -157,7 +157,7 @@ class OperatorPort:
         action = self._actions.get(type(asked.call))
         if action is None:
             return Reply(False, "this daemon does not know the request")
-        return action(asked.call, asked.asked_by)
+        return action(session, asked.call, asked.asked_by)
 
     def _status(self, cycle: Cycle, gateway: Gateway) -> Status:
         described = self._described

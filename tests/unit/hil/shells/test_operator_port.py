@@ -91,7 +91,7 @@ class PortBench:
 def bench(tmp_path: Path) -> Iterator[PortBench]:
     made = PortBench(
         tmp_path / "run.mcap",
-        {ShutdownCall: lambda _call, asked_by: Reply(True, f"the daemon ends for {asked_by}")},
+        {ShutdownCall: lambda _session, _call, asked_by: Reply(True, f"the daemon ends for {asked_by}")},
     )
     made.period(20)
     made.received()
