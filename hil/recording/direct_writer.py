@@ -1,4 +1,4 @@
-"""Writes a recording in this process when it is closed: for simulated time, where no deadline waits."""
+"""Writes a recording in this process when it is ended: for simulated time, where no deadline waits."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ import msgspec
 
 from hil.core.errors import RecordingError, RecordingExistsError
 from hil.core.output import LogEntry
-from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, RunHeader
+from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, NextFile, Progress, RunHeader
 from hil.recording.mcap_writer import McapWriter
 
 
 class DirectWriter:
     """Takes the blocks of a :class:`hil.recording.recorder.Recorder`, as a recorder process would.
 
-    The file has the same bytes as that of a recorder process. Nothing is written before :meth:`close`, which
-    raises RecordingExistsError if the file exists, and RecordingError if it cannot be written.
+    The file has the same bytes as that of a recorder process. Nothing is written before :meth:`close` or
+    :meth:`next_file`, which raise RecordingExistsError if the file exists, and RecordingError if it cannot be
+    written.
     """
 
     has_backlog = False
     failure: str | None = None
+    progress: Progress | None = None
 
     def __init__(self, path: Path, lossless: bool = True) -> None:
         self.dropped: Counter[int] = Counter()
@@ -44,6 +46,19 @@ class DirectWriter:
 
     def drain(self) -> None:
         """Return at once: no block waits."""
+
+    def read_reports(self) -> None:
+        """Return at once: no process reports anything."""
+
+    def next_file(self, path: Path, block: bytearray) -> bool:
+        """Write the file, and go on with another one. Always returns True."""
+        self.close()
+        for name in msgspec.msgpack.decode(block[BLOCK_HEADER.size :], type=NextFile).remove:
+            Path(name).unlink(missing_ok=True)
+        self._path = path
+        self._written.clear()
+        self.dropped.clear()
+        return True
 
     def close(self) -> None:
         """Write the file."""

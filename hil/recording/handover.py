@@ -2,17 +2,23 @@
 
 A block is a kind, a length and that many bytes. The first block is the header (:class:`RunHeader`), the last
 one is the end (metadata); msgspec encodes both. Between them are batches of message records, in the bytes
-that they have in an MCAP chunk. This module uses no pipe and no file.
+that they have in an MCAP chunk. After the end, another file may begin. This module uses no pipe and no file.
+
+The recorder process answers on its standard error, one line each: how far the file is (:class:`Progress`), or
+the reason why it cannot be written.
 """
 
 from __future__ import annotations
 
 import struct
+from typing import NamedTuple
 
 import msgspec
 
 BLOCK_HEADER = struct.Struct("<cI")
-HEADER, BATCH, END = b"H", b"B", b"E"
+HEADER, BATCH, END, NEXT = b"H", b"B", b"E", b"N"
+"""Kinds of blocks. HEADER begins the contents of a file and END finishes it. NEXT (:class:`NextFile`) opens
+another file, whose header follows."""
 LOSSLESS, REAL_TIME = "lossless", "real-time"
 """Argument of the recorder process. In real time, a chunk also ends when no block has come for a while."""
 
@@ -45,6 +51,42 @@ class RunHeader(msgspec.Struct, frozen=True):
     """Media type and content of each document, by its name: rig file, DBC, controller and setpoint files."""
     metadata: dict[str, dict[str, str]] = {}
     """Entries of each metadata record, by its name: versions, setpoints, hashes of the documents."""
+
+
+class NextFile(msgspec.Struct, frozen=True):
+    """File that follows on the one that was ended."""
+
+    path: str
+    """Its path. It must not exist."""
+    remove: tuple[str, ...] = ()
+    """Files that are removed first, to make room."""
+
+
+class Progress(NamedTuple):
+    """How far the recorder process is with its file."""
+
+    written_bytes: int
+    """Bytes of the present file."""
+    free_bytes: int
+    """Free space of its file system, in bytes."""
+
+
+FAILED = "failed: "
+"""Beginning of the line with which the recorder process reports that it cannot write its file."""
+_PROGRESS = "progress: "
+
+
+def progress_line(progress: Progress) -> str:
+    """Return the line that reports progress."""
+    return f"{_PROGRESS}{progress.written_bytes} {progress.free_bytes}"
+
+
+def read_progress(line: str) -> Progress | None:
+    """Return the progress that a line reports, or None for any other line."""
+    if not line.startswith(_PROGRESS):
+        return None
+    written, free = line.removeprefix(_PROGRESS).split()
+    return Progress(int(written), int(free))
 
 
 def message_prefix(channel: int, payload_size: int) -> bytes:

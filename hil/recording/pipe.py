@@ -14,7 +14,17 @@ from pathlib import Path
 from hil.core.errors import RecordingError, RecordingExistsError
 from hil.core.output import LogEntry, Severity
 from hil.host.child_process import await_end
-from hil.recording.handover import BATCH, BLOCK_HEADER, LOSSLESS, REAL_TIME, index_messages
+from hil.recording.handover import (
+    BATCH,
+    BLOCK_HEADER,
+    FAILED,
+    LOSSLESS,
+    NEXT,
+    REAL_TIME,
+    Progress,
+    index_messages,
+    read_progress,
+)
 
 PROCESS_MODULE = "hil.recording.recorder_process"
 PIPE_BYTES = 1024 * 1024
@@ -38,7 +48,11 @@ class RecorderPipe:
         """Number of messages that were not sent to the recorder process, by channel id."""
         self.log: list[LogEntry] = []
         """Log entries about the recording itself that the user has not been shown yet."""
+        self.progress: Progress | None = None
+        """How far the process was when it last said so. In real time, it says so once a second."""
         self._path = path
+        self._unread = b""
+        """Beginning of a line of the process whose end has not been read yet."""
         self._lossless = lossless
         self._backlog: deque[bytearray] = deque()
         self._backlog_bytes = 0
@@ -69,6 +83,29 @@ class RecorderPipe:
         self.push()
         if self._lossless:
             self.drain()
+
+    def read_reports(self) -> None:
+        """Read what the process has said since the last call, without waiting."""
+        with contextlib.suppress(OSError):
+            self._unread += self._stderr.read() or b""
+        *lines, self._unread = self._unread.split(b"\n")
+        for line in lines:
+            text = line.decode(errors="replace")
+            if text.startswith(FAILED):
+                self._fail(text.removeprefix(FAILED))
+            else:
+                self.progress = read_progress(text) or self.progress
+
+    def next_file(self, path: Path, block: bytearray) -> bool:
+        """Send the block that opens the file ``path``. Return False if the process has ended."""
+        if self._process.poll() is not None:
+            return False
+        self.read_reports()
+        self.failure = self.progress = None
+        self.dropped.clear()
+        self._path = path
+        self.send(block, NEXT)
+        return True
 
     def push(self) -> None:
         """Write as much of the backlog as the pipe accepts without blocking."""
@@ -127,12 +164,12 @@ class RecorderPipe:
         self._backlog_bytes = 0
 
     def _reason_of_end(self) -> str:
-        """Return the last line that the recorder process wrote to stderr."""
+        """Return the last line that the recorder process wrote to stderr, besides its progress."""
         with contextlib.suppress(OSError):
-            lines = self._stderr.read()
-            if lines:
-                return lines.decode(errors="replace").strip().splitlines()[-1]
-        return "the recorder process was killed"
+            self._unread += self._stderr.read() or b""
+        lines = self._unread.decode(errors="replace").split("\n")
+        reasons = [line for line in lines if line.strip() and read_progress(line) is None]
+        return reasons[-1].removeprefix(FAILED) if reasons else "the recorder process was killed"
 
 
 def _start_process(path: Path, lossless: bool) -> subprocess.Popen[bytes]:

@@ -7,8 +7,9 @@ time, no method here blocks.
 
 from __future__ import annotations
 
+import hashlib
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,7 +17,7 @@ import msgspec
 
 from hil.core.errors import RecordingError
 from hil.core.frames import Frame
-from hil.core.output import Cycle, LogEntry
+from hil.core.output import Cycle, LogEntry, Severity
 from hil.core.requests import Request
 from hil.recording import schemas
 from hil.recording.handover import (
@@ -26,6 +27,7 @@ from hil.recording.handover import (
     HEADER,
     MESSAGE_HEADER,
     SEQUENCE_MASK,
+    NextFile,
     RunHeader,
     message_prefix,
 )
@@ -89,14 +91,25 @@ class Recorder:
     """
 
     def __init__(
-        self, path: Path, header: RunHeader, lossless: bool, pipe: DirectWriter | None = None
+        self,
+        path: Path,
+        header: RunHeader,
+        lossless: bool,
+        pipe: DirectWriter | None = None,
+        min_free_bytes: int = 0,
     ) -> None:
+        """With less free space than ``min_free_bytes``, :meth:`hand_over` gives a warning."""
         if not 0 <= header.epoch_offset_ns < ROS_TIME_END_NS - _MAX_RUN_NS:
             raise RecordingError(
                 f"{path}: the clock shows {header.epoch_offset_ns // _SECOND_NS} s since 1970, but the time "
                 "stamps of a recording must lie between 1970 and January 2038: set the clock"
             )
         self._path = path
+        self._header = header
+        self._is_stopped = False
+        """True after :meth:`stop`, until the next file begins. Messages are then discarded."""
+        self._min_free_bytes = min_free_bytes
+        self._is_short_of_space = False
         self._pipe: RecorderPipe | DirectWriter = pipe or RecorderPipe(path, lossless)
         self._batch = _empty_block()
         self._sequence = 0
@@ -200,8 +213,8 @@ class Recorder:
     def hand_over(self) -> LogEntry | None:
         """Send the batch to the recorder process if it is due. Call this once a period, in idle time.
 
-        Returns a log entry for the user when messages are dropped for the first time or the process has
-        ended.
+        Returns a log entry for the user when messages are dropped for the first time, when the file cannot be
+        written any more, and when little space is left for it.
         """
         if len(self._batch) >= BATCH_BYTES or self._now_ns - self._handed_over_ns >= BATCH_SPAN_NS:
             self._hand_over_batch()
@@ -209,13 +222,62 @@ class Recorder:
             self._pipe.push()
         return self._pipe.log.pop(0) if self._pipe.log else None
 
+    @property
+    def path(self) -> Path | None:
+        """The present file; None while nothing is recorded."""
+        return None if self._is_stopped else self._path
+
+    @property
+    def file_bytes(self) -> int:
+        """Size of the present file in bytes, as far as the recorder process has said so."""
+        progress = self._pipe.progress
+        return 0 if progress is None else progress.written_bytes
+
+    def begin_file(
+        self,
+        path: Path,
+        attachments: Mapping[str, tuple[str, bytes]],
+        ending: dict[str, dict[str, str]],
+        remove: Sequence[Path] = (),
+    ) -> str | None:
+        """Go on in another file, and return None, or why that is not possible.
+
+        ``attachments`` are added to those of the first file, with their digests in the metadata
+        ``documents``. ``ending`` is the metadata that ends the present file. The files in ``remove`` go.
+        Nothing waits for the disk: whether the file can be written is known later, as for every file.
+        """
+        if path.exists():
+            return f"{path} exists already; a recording overwrites no file"
+        self.stop(ending)
+        block = _empty_block() + msgspec.msgpack.encode(NextFile(str(path), tuple(map(str, remove))))
+        if not self._pipe.next_file(path, block):
+            return "the recorder process has ended; end this program and start it again to record"
+        self._path = path
+        self._is_stopped = False
+        self._sequence = 0
+        self._batch = _empty_block()
+        digests = {name: hashlib.sha256(content).hexdigest() for name, (_, content) in attachments.items()}
+        metadata = self._header.metadata
+        header = msgspec.structs.replace(
+            self._header,
+            attachments={**self._header.attachments, **attachments},
+            metadata={**metadata, "documents": {**metadata.get("documents", {}), **digests}},
+        )
+        self._pipe.send(_empty_block() + msgspec.msgpack.encode(header), HEADER)
+        return None
+
+    def stop(self, ending: dict[str, dict[str, str]]) -> None:
+        """End the present file with the metadata ``ending``. Messages are discarded until another begins."""
+        if self._is_stopped:
+            return
+        self._end_file(ending)
+        self._is_stopped = True
+
     def close(self, metadata: dict[str, dict[str, str]]) -> RecorderReport:
         """End the file with ``metadata`` (entries by name) and message counts; wait until it is complete."""
         self._pipe.drain()
-        self._hand_over_batch()
-        counts = {"messages": str(self._sequence - self.dropped)}
-        counts |= {f"dropped {topic}": str(count) for topic, count in self._dropped_by_topic().items()}
-        self._pipe.send(_empty_block() + msgspec.msgpack.encode({**metadata, "recorder": counts}), END)
+        if not self._is_stopped:
+            self._end_file(metadata)
         self._pipe.close()
         return RecorderReport(
             self._sequence - self.dropped, self._dropped_by_topic(), self._path, self._pipe.failure
@@ -239,11 +301,36 @@ class Recorder:
         self._batch += MESSAGE_HEADER.pack(prefix, self._sequence & SEQUENCE_MASK, log_time, log_time)
         self._batch += payload
 
+    def _end_file(self, metadata: dict[str, dict[str, str]]) -> None:
+        self._hand_over_batch()
+        counts = {"messages": str(self._sequence - self.dropped)}
+        counts |= {f"dropped {topic}": str(count) for topic, count in self._dropped_by_topic().items()}
+        self._pipe.send(_empty_block() + msgspec.msgpack.encode({**metadata, "recorder": counts}), END)
+
     def _hand_over_batch(self) -> None:
         if len(self._batch) > BLOCK_HEADER.size:
-            self._pipe.send(self._batch, BATCH)
+            if not self._is_stopped:
+                self._pipe.send(self._batch, BATCH)
             self._batch = _empty_block()
         self._handed_over_ns = self._now_ns
+        self._pipe.read_reports()
+        self._check_free_space()
+
+    def _check_free_space(self) -> None:
+        """Report that little space is left, once, until there is more space again."""
+        progress = self._pipe.progress
+        if progress is None:
+            return
+        free, limit = progress.free_bytes, self._min_free_bytes
+        if free < limit and not self._is_short_of_space:
+            self._is_short_of_space = True
+            text = (
+                f"{self._path}: {free / 1e6:.0f} MB are free for recordings, less than {limit / 1e6:.0f} MB; "
+                "the loop goes on without a recording when the disk is full; remove old recordings"
+            )
+            self._pipe.log.append(LogEntry(Severity.WARNING, "recorder", text))
+        elif free > 1.1 * limit:
+            self._is_short_of_space = False
 
     def _dropped_by_topic(self) -> dict[str, int]:
         return {self._topics[channel - 1]: count for channel, count in sorted(self._pipe.dropped.items())}

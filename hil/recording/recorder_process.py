@@ -1,59 +1,162 @@
-"""The recorder process: reads blocks from stdin, writes the recording to stdout and errors to stderr.
+"""The recorder process: reads blocks from stdin, and writes one recording after the other.
 
-It finishes the file at an end block or at the end of its input. So the file is complete however the gateway
+The first file is its stdout, which the gateway has created. It opens each further file when a block names it.
+It finishes a file at an end block or at the end of its input. So the file is complete however the gateway
 ended. It ignores the signals that end the gateway.
+
+If a file cannot be written, it says so on stderr and reads on: the gateway may go on with another file.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import signal
 import sys
+import time
+from pathlib import Path
+from typing import Any
 
 import msgspec
 
-from hil.recording.handover import BATCH, BLOCK_HEADER, HEADER, LOSSLESS, RunHeader
+from hil.recording.handover import (
+    BATCH,
+    BLOCK_HEADER,
+    END,
+    FAILED,
+    HEADER,
+    LOSSLESS,
+    NEXT,
+    NextFile,
+    Progress,
+    RunHeader,
+    progress_line,
+)
 from hil.recording.mcap_writer import McapWriter
 
-INPUT, OUTPUT = 0, 1
+INPUT, OUTPUT, REPORTS = 0, 1, 2
 READ_BYTES = 1024 * 1024
 FLUSH_TIMEOUT_S = 0.5
 """In real time, the chunk in progress is written when no block came for this time: the loop may be stuck."""
+PROGRESS_INTERVAL_S = 1.0
+"""Shortest time between two reports of progress."""
 
 GATEWAY_ENDED = {"recorder": {"end": "the gateway ended without closing the recording"}}
 
 
 def main() -> None:
-    """Record until the end of the input. The exit status is 1 when the file cannot be written."""
+    """Record until the end of the input. The exit status is 1 when the last file cannot be written."""
     for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(signum, signal.SIG_IGN)
-    try:
-        record(flush_on_timeout=sys.argv[1] != LOSSLESS)
-    except OSError as error:
-        sys.exit(error.strerror)
+    os.set_blocking(REPORTS, False)
+    is_real_time = sys.argv[1] != LOSSLESS
+    files = _Files()
+    record(files, is_real_time)
+    if files.failure is not None:
+        sys.exit(files.failure)
 
 
-def record(flush_on_timeout: bool) -> None:
-    """Write the blocks of stdin to the file until the last one. Raises OSError when writing fails."""
-    block = _next_block(INPUT)
-    if block is None:
-        return
-    assert block[0] == HEADER
-    file = McapWriter(_write, msgspec.msgpack.decode(block[1], type=RunHeader))
+def record(files: _Files, is_real_time: bool) -> None:
+    """Write the blocks of stdin to their files until the end of the input."""
+    next_progress_s = 0.0
     while True:
-        if flush_on_timeout and not select.select([INPUT], [], [], FLUSH_TIMEOUT_S)[0]:
-            file.flush()
+        if is_real_time and not select.select([INPUT], [], [], FLUSH_TIMEOUT_S)[0]:
+            files.flush()
         block = _next_block(INPUT)
         if block is None:
-            file.finish(GATEWAY_ENDED)
+            files.finish(GATEWAY_ENDED)
             return
-        kind, content = block
-        if kind == BATCH:
-            file.add_batch(content)
-        else:
-            file.finish(msgspec.msgpack.decode(content, type=dict[str, dict[str, str]]))
-            return
+        files.take(*block)
+        if is_real_time and time.monotonic() >= next_progress_s:
+            next_progress_s = time.monotonic() + PROGRESS_INTERVAL_S
+            files.report_progress()
+
+
+class _Files:
+    """The present file and those after it."""
+
+    def __init__(self) -> None:
+        self._output = OUTPUT
+        self._writer: McapWriter | None = None
+        """Writer of the present file; None before its header, after its end, and when it has failed."""
+        self._written = 0
+        self.failure: str | None = None
+        """Reason why the present file is incomplete."""
+
+    def take(self, kind: bytes, content: bytes) -> None:
+        """Do what a block asks for. An error of the system ends the file, and is reported."""
+        try:
+            if kind == HEADER:
+                if self.failure is None:
+                    self._writer = McapWriter(self._write, msgspec.msgpack.decode(content, type=RunHeader))
+            elif kind == BATCH:
+                if self._writer is not None:
+                    self._writer.add_batch(content)
+            elif kind == END:
+                self._finish(msgspec.msgpack.decode(content, type=dict[str, dict[str, str]]))
+            elif kind == NEXT:
+                self._open(msgspec.msgpack.decode(content, type=NextFile))
+        except OSError as error:
+            self._fail(error)
+
+    def flush(self) -> None:
+        """Write the chunk in progress."""
+        if self._writer is not None:
+            try:
+                self._writer.flush()
+            except OSError as error:
+                self._fail(error)
+
+    def finish(self, metadata: dict[str, Any]) -> None:
+        """Finish a file that has not been ended."""
+        try:
+            self._finish(metadata)
+        except OSError as error:
+            self._fail(error)
+
+    def report_progress(self) -> None:
+        """Say how much was written, and how much may still be."""
+        with contextlib.suppress(OSError):
+            system = os.fstatvfs(self._output)
+            _report(progress_line(Progress(self._written, system.f_bavail * system.f_frsize)))
+
+    def _open(self, file: NextFile) -> None:
+        """Close the present file, and create the next one."""
+        self._writer = None
+        self.failure = "the file could not be created"
+        with contextlib.suppress(OSError):  # An earlier one may have failed to open.
+            os.close(self._output)
+        self._output = -1
+        for path in file.remove:
+            with contextlib.suppress(FileNotFoundError):
+                Path(path).unlink()
+        self._output = os.open(file.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        self._written = 0
+        self.failure = None
+
+    def _finish(self, metadata: dict[str, Any]) -> None:
+        if self._writer is not None:
+            writer, self._writer = self._writer, None
+            writer.finish(metadata)
+
+    def _fail(self, error: OSError) -> None:
+        self._writer = None
+        self.failure = error.strerror or str(error)
+        _report(f"{FAILED}{self.failure}")
+
+    def _write(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            count = os.write(self._output, rest)
+            self._written += count
+            rest = rest[count:]
+
+
+def _report(line: str) -> None:
+    """Write a line to stderr, or drop it if the gateway reads none."""
+    with contextlib.suppress(OSError):
+        os.write(REPORTS, f"{line}\n".encode())
 
 
 def _next_block(source: int) -> tuple[bytes, bytes] | None:
@@ -75,12 +178,6 @@ def _read(source: int, size: int) -> bytes:
             break
         content += more
     return content
-
-
-def _write(data: bytes) -> None:
-    rest = memoryview(data)
-    while rest:
-        rest = rest[os.write(OUTPUT, rest) :]
 
 
 if __name__ == "__main__":

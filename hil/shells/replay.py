@@ -7,10 +7,12 @@ so a file can be replayed alone, on any machine.
 from __future__ import annotations
 
 import hashlib
+import json
 from collections import Counter, deque
 from typing import NamedTuple
 
 from hil import __version__
+from hil.core.core_state import restore
 from hil.core.errors import HilError, RecordingError, ReplayMismatchError
 from hil.core.gateway import Gateway
 from hil.core.output import Output
@@ -28,6 +30,7 @@ from hil.recording.entries import (
     Operated,
 )
 from hil.recording.reader import Recording
+from hil.recording.rotation_names import STATE_NAME, is_set_up
 from hil.shells.answers import (
     Answer,
     Deadline,
@@ -68,7 +71,8 @@ def setup_of(recording: Recording) -> RunSetup:
                 f"{recording.path}: the attachment {name} was changed: its SHA-256 is not that in metadata "
                 f"documents.{name}"
             )
-    setup = setup_from_texts(recording.documents, recording.metadata.get("setpoints", {}))
+    texts = {name: text for name, text in recording.documents.items() if is_set_up(name)}
+    setup = setup_from_texts(texts, recording.metadata.get("setpoints", {}))
     fingerprint = recording.metadata.get("run", {}).get("configuration sha256")
     if fingerprint not in (None, setup.fingerprint()):
         raise RecordingError(
@@ -88,11 +92,23 @@ def verify(recording: Recording) -> ReplayReport:
     if first is None:
         raise RecordingError(f"{recording.path}: has no period; there is nothing to replay")
     try:
-        return _replay(recording, setup_of(recording).gateway(first.deadline_ns))
+        return _replay(recording, _gateway(recording, first.deadline_ns))
     except ReplayMismatchError as error:
         recorded_by = recording.metadata.get("run", {}).get("hil", __version__)
         by = "" if recorded_by == __version__ else f" (recorded by hil {recorded_by}, this is {__version__})"
         raise ReplayMismatchError(f"{recording.path}: {error}{by}") from None
+
+
+def _gateway(recording: Recording, first_deadline_ns: int) -> Gateway:
+    """Return the core with which the recording began: a fresh one, or one in the middle of a run."""
+    gateway = setup_of(recording).gateway(first_deadline_ns)
+    state = recording.documents.get(STATE_NAME)
+    if state is not None:
+        try:
+            restore(gateway, json.loads(state))
+        except (HilError, ValueError) as error:
+            raise RecordingError(f"{recording.path}: the attachment {STATE_NAME}: {error}") from None
+    return gateway
 
 
 def _replay(recording: Recording, gateway: Gateway) -> ReplayReport:

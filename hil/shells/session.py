@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Protocol
 
 from hil.core.controller_change import PreparedController
@@ -10,10 +11,11 @@ from hil.core.errors import LinkError
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
-from hil.core.requests import Reply, Request
+from hil.core.requests import ControllerRequest, Reply, Request
 from hil.core.wire.codec import RPDO1_DAC
-from hil.recording.recorder import Recorder
+from hil.recording.no_recorder import RunRecorder
 from hil.recording.request_texts import describe_request
+from hil.shells.recordings import Recordings
 from hil.shells.run_plan import Ending, Plan
 
 
@@ -43,10 +45,12 @@ class Session:
         plan: Plan,
         send: Callable[[Frame], bool],
         clock_ns: Callable[[], int],
-        recorder: Recorder,
+        recorder: RunRecorder,
         observer: Observer,
         max_refused_commands: int | None = None,
+        recordings: Recordings | None = None,
     ) -> None:
+        """``recordings`` are the files of ``recorder``, if new ones may begin while the loop runs."""
         self.gateway = gateway
         self.plan = plan
         self._send = send
@@ -54,6 +58,7 @@ class Session:
         self._recorder = recorder
         self._observer = observer
         self._max_refused_commands = max_refused_commands
+        self._recordings = recordings
         self._sent_ns = 0
         """Time at which the last frame was handed to the bus."""
         self._refused_frames = self._refused_commands_in_row = 0
@@ -89,8 +94,33 @@ class Session:
         self._recorder.operated(request, now_ns, asked_by)
         output = self.gateway.operate(request, now_ns, prepared)
         self._handle(output, now_ns)
-        assert output.reply is not None, f"no reply to {request}"
-        return output.reply
+        reply = output.reply
+        assert reply is not None, f"no reply to {request}"
+        if self._recordings is not None and isinstance(request, ControllerRequest) and reply.accepted:
+            self._recordings.controller_changed(request)
+        return reply
+
+    def record_new(self, asked_by: str = "", path: Path | None = None) -> Reply:
+        """End the present recording, if there is one, and begin another: ``path``, or the next number.
+
+        Call this between two calls of the core.
+        """
+        return self._record("record new", asked_by, lambda files: files.begin(self.gateway, path))
+
+    def record_stop(self, asked_by: str = "") -> Reply:
+        """End the present recording. The loop goes on without one."""
+        return self._record("record stop", asked_by, lambda files: files.stop())
+
+    def _record(self, request: str, asked_by: str, action: Callable[[Recordings], Reply]) -> Reply:
+        if asked_by:
+            self.note(LogEntry(Severity.INFO, "operator", f"{asked_by} asks: {request}"))
+        if self._recordings is None:
+            reply = Reply(False, "this gateway was started without a recording (--no-record)")
+        else:
+            reply = action(self._recordings)
+        severity = Severity.INFO if reply.accepted else Severity.WARNING
+        self.note(LogEntry(severity, "recorder", reply.text))
+        return reply
 
     def end_with_failure(self, ending: Ending, reason: str) -> None:
         """End the run because the link or this program failed. The core faults and centres the valves.
@@ -160,6 +190,10 @@ class Session:
         news = self._recorder.hand_over()
         if news is not None:
             self._observer.log(news)
+        if self._recordings is not None:
+            entry = self._recordings.after_period(cycle, self.gateway)
+            if entry is not None:
+                self.note(entry)
 
     def _report_refused(self) -> None:
         if self._throttle.should_report("refused"):

@@ -13,6 +13,7 @@ from hil.core.requests import Reply, Request
 from hil.recording.handover import RunHeader
 from hil.recording.recorder import Recorder
 from hil.shells.lockstep import Lockstep
+from hil.shells.recordings import Recordings, RotationLimits
 from hil.shells.run_plan import OperatorPlan
 from hil.shells.run_setup import RunSetup, load_setup
 from hil.shells.session import Session
@@ -36,7 +37,12 @@ class Shown:
 class OperatedRun:
     """A recorded lockstep run that a test operates period by period. The boards are simulated and linear."""
 
-    def __init__(self, path: Path, setpoints: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        setpoints: Mapping[str, str] | None = None,
+        limits: RotationLimits | None = None,
+    ) -> None:
         self.setup = load_setup(None, {}, setpoints or {})
         self.shown = Shown()
         self.plan = OperatorPlan()
@@ -46,7 +52,13 @@ class OperatedRun:
             self.recorder = Recorder(path, run_header(self.setup), lossless=True)
         gateway = self.setup.gateway(rig.loop.period_ns)
         self.session = Session(
-            gateway, self.plan, self._lockstep.send, self._lockstep.clock_ns, self.recorder, self.shown
+            gateway,
+            self.plan,
+            self._lockstep.send,
+            self._lockstep.clock_ns,
+            self.recorder,
+            self.shown,
+            recordings=Recordings(self.recorder, limits or RotationLimits()),
         )
         self._lockstep.begin(self.session)
 

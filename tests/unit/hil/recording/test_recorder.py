@@ -7,9 +7,10 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import ClassVar
 
 import msgspec
 import pytest
@@ -39,6 +40,7 @@ from hil.recording.entries import (
     Logged,
     Operated,
 )
+from hil.recording.handover import Progress
 from hil.recording.reader import Recording
 from hil.recording.recorder import BATCH_BYTES, Recorder, RecorderReport
 
@@ -313,3 +315,142 @@ def test_a_recorder_process_that_reads_everything_and_does_not_end_is_killed(
     assert report.failure == "the recorder process did not end within 0.05 s and was killed"
     assert sum(report.dropped.values()) == 0
     assert report.missing(in_file=0) == 3 * 8
+
+
+class TestFurtherFiles:
+    """Files that the recorder process opens after the first one."""
+
+    ENDING: ClassVar = {"ending": {"reason": "continued"}}
+
+    def begin(self, recorder: Recorder, path: Path, remove: Sequence[Path] = ()) -> str | None:
+        return recorder.begin_file(path, {"more.json": ("application/json", b"{}")}, self.ENDING, remove)
+
+    @pytest.mark.parametrize("lossless", [False, True])
+    def test_each_file_is_complete_and_has_its_own_messages(self, tmp_path: Path, lossless: bool) -> None:
+        first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
+        recorder = Recorder(first, RUN_HEADER, lossless)
+        record_periods(recorder, 30)
+        assert recorder.path == first
+        assert self.begin(recorder, second) is None
+        assert recorder.path == second
+        record_periods(recorder, 20)
+        report = recorder.close({"ending": {"reason": "completed"}})
+        assert report == RecorderReport(20 * 8, {}, second, None)
+        for path, periods, reason in ((first, 30, "continued"), (second, 20, "completed")):
+            recording = Recording(path)
+            assert recording.complete
+            assert len(recording.timing()) == periods
+            assert recording.metadata["ending"] == {"reason": reason}
+            assert recording.metadata["recorder"] == {"messages": str(periods * 8)}
+            assert len(list(recording.entries())) == periods * 8
+        assert Recording(second).attachments["more.json"] == b"{}"
+        assert Recording(second).metadata["documents"]["more.json"].startswith("44136fa3")
+        assert Recording(second).attachments["rig.toml"] == Recording(first).attachments["rig.toml"]
+
+    def test_old_files_are_removed(self, tmp_path: Path) -> None:
+        first = tmp_path / "first.mcap"
+        recorder = Recorder(first, RUN_HEADER, lossless=True)
+        record_periods(recorder, 3)
+        assert self.begin(recorder, tmp_path / "second.mcap", [first, tmp_path / "gone.mcap"]) is None
+        recorder.close({})
+        assert [path.name for path in tmp_path.iterdir()] == ["second.mcap"]
+
+    def test_nothing_is_recorded_between_two_files(self, tmp_path: Path) -> None:
+        recorder = Recorder(tmp_path / "first.mcap", RUN_HEADER, lossless=True)
+        record_periods(recorder, 3)
+        recorder.stop(self.ENDING)
+        assert recorder.path is None
+        record_periods(recorder, 5000)
+        assert self.begin(recorder, tmp_path / "second.mcap") is None
+        record_periods(recorder, 4)
+        recorder.stop(self.ENDING)
+        recorder.stop(self.ENDING)
+        record_periods(recorder, 3)
+        assert recorder.close({"ending": {"reason": "later"}}).failure is None
+        for name, periods in (("first.mcap", 3), ("second.mcap", 4)):
+            recording = Recording(tmp_path / name)
+            assert (recording.complete, len(recording.timing())) == (True, periods)
+            assert recording.metadata["ending"] == {"reason": "continued"}
+
+    def test_a_file_that_exists_is_not_touched(self, tmp_path: Path) -> None:
+        second = tmp_path / "second.mcap"
+        second.write_text("mine")
+        recorder = Recorder(tmp_path / "first.mcap", RUN_HEADER, lossless=True)
+        assert self.begin(recorder, second) == f"{second} exists already; a recording overwrites no file"
+        record_periods(recorder, 3)
+        recorder.close({})
+        assert second.read_text() == "mine"
+        assert len(Recording(tmp_path / "first.mcap").timing()) == 3
+
+    def test_after_a_file_that_cannot_be_created_another_can_be(self, tmp_path: Path) -> None:
+        first, lost, third = (tmp_path / name for name in ("first.mcap", "none/second.mcap", "third.mcap"))
+        recorder = Recorder(first, RUN_HEADER, lossless=False)
+        assert self.begin(recorder, lost) is None
+        log: list[LogEntry] = []
+        wait_until(lambda: bool(log.extend(record_periods(recorder, 20)) or log), "the failure")
+        assert log[0].severity is Severity.ERROR
+        assert log[0].text == f"{lost}: recording ended: No such file or directory"
+        assert self.begin(recorder, third) is None
+        assert record_periods(recorder, 20) == []
+        report = recorder.close({})
+        assert (report.failure, report.messages) == (None, 20 * 8)
+        assert Recording(first).complete
+        assert len(Recording(third).timing()) == 20
+
+    def test_after_a_full_disk_another_file_can_be_written(self, tmp_path: Path) -> None:
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, hard))
+        try:
+            recorder = Recorder(tmp_path / "first.mcap", RUN_HEADER, lossless=True)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        log = record_periods(recorder, 5000)
+        assert "File too large" in log[0].text
+        assert self.begin(recorder, tmp_path / "second.mcap") is None
+        record_periods(recorder, 20)
+        assert recorder.close({}).failure is None
+        assert not Recording(tmp_path / "first.mcap").complete
+        assert len(Recording(tmp_path / "second.mcap").timing()) == 20
+
+    def test_the_last_file_that_fails_is_reported(self, tmp_path: Path) -> None:
+        recorder = Recorder(tmp_path / "first.mcap", RUN_HEADER, lossless=True)
+        assert self.begin(recorder, tmp_path / "none" / "second.mcap") is None
+        assert recorder.close({}).failure == "No such file or directory"
+
+    def test_without_a_process_no_file_begins(self, tmp_path: Path) -> None:
+        path = tmp_path / "run.mcap"
+        with recorder_process(path, lossless=False) as (recorder, process_id):
+            os.kill(process_id, signal.SIGKILL)
+            os.waitid(os.P_PID, process_id, os.WEXITED | os.WNOWAIT)
+            reason = self.begin(recorder, tmp_path / "second.mcap")
+            recorder.close({})
+        assert reason == "the recorder process has ended; end this program and start it again to record"
+
+
+class TestProgress:
+    def test_the_process_says_how_large_its_file_is(self, tmp_path: Path) -> None:
+        path = tmp_path / "run.mcap"
+        recorder = Recorder(path, RUN_HEADER, lossless=False)
+        assert recorder.file_bytes == 0
+        wait_until(lambda: record_periods(recorder, 30) == [] and recorder.file_bytes > 0, "progress")
+        assert recorder.file_bytes <= path.stat().st_size
+        recorder.close({})
+
+    def test_little_free_space_is_reported_once(self, tmp_path: Path) -> None:
+        recorder = Recorder(tmp_path / "run.mcap", RUN_HEADER, lossless=False, min_free_bytes=2**62)
+        log: list[LogEntry] = []
+        wait_until(lambda: bool(log.extend(record_periods(recorder, 30)) or log), "the warning")
+        log += record_periods(recorder, 300)
+        recorder.close({})
+        assert [(entry.severity, entry.source) for entry in log] == [(Severity.WARNING, "recorder")]
+        assert "MB are free for recordings, less than 4611686018427 MB; the loop goes on" in log[0].text
+
+    def test_it_is_reported_again_after_there_was_more(self, tmp_path: Path) -> None:
+        path = tmp_path / "run.mcap"
+        with in_memory(path):
+            recorder = Recorder(path, RUN_HEADER, lossless=True, min_free_bytes=1000)
+        reported = []
+        for number, free in enumerate((2000, 999, 500, 1050, 900, 1101, 900)):
+            recorder._pipe.progress = Progress(1, free)
+            reported.append(len(record_periods(recorder, 40, first=40 * number)))
+        assert reported == [0, 1, 0, 0, 0, 0, 1]
