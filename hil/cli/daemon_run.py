@@ -9,6 +9,7 @@ import time
 import traceback
 
 from hil import __version__
+from hil.cli.confirmation import protection_warnings
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
     SIMULATED,
@@ -98,6 +99,8 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 setup.rig.adc.stale_after_periods,
             )
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
+            for warning in protection_warnings(setup, bus):
+                session.note(warning)
             error = run(session, link, stop, port.serve)
         notifier.send("STOPPING=1")
         metadata = {"rights": rights.as_metadata(), "ending": {"reason": str(plan.ending)}}
