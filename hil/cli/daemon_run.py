@@ -74,7 +74,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         pipe = stack.enter_context(socket_process(listener, facts))
         plan = OperatorPlan()
 
-        def shut_down(_call: ShutdownCall, asked_by: str) -> Reply:
+        def shut_down(session: Session, _call: ShutdownCall, asked_by: str) -> Reply:
             session.note(LogEntry(Severity.INFO, "operator", f"{asked_by} asks: shutdown"))
             stop.set()
             return Reply(True, "the daemon centres the valves, closes the recording and ends")

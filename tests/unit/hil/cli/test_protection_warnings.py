@@ -1,87 +1,24 @@
-"""The question before a real arm moves."""
+"""Warnings of the protection that the rig file of a real arm does not have."""
 
 from __future__ import annotations
 
-import io
+from dataclasses import replace
 
 import pytest
+from support.protected_rigs import protected_rig
 
-from hil.cli import confirmation, main
-from hil.cli.confirmation import confirm_motion, is_real, motion_lines
-from hil.core.errors import HilError
-from hil.shells.run_setup import RunSetup, load_setup
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-@pytest.fixture
-def setup() -> RunSetup:
-    return load_setup(None, {}, {"vertical": "step:0.1@1", "horizontal": "hold", "rotation": "sine:0.2@0/4"})
+from hil.cli.confirmation import protection_warnings
+from hil.shells.run_setup import load_setup
 
 
 @pytest.mark.parametrize(
-    ("bus", "real"),
-    [
-        ("sim", False),
-        ("vcan0", False),
-        ("socketcan:vcan1", False),
-        ("udp:43113", False),
-        ("can0", True),
-        ("socketcan:can0", True),
-        ("slcan:/dev/ttyACM0", True),
-        ("slcan:/dev/pts/3", True),
-        ("carrier pigeon", True),
-    ],
+    ("bus", "is_warned"),
+    [("can0", True), ("slcan:/dev/ttyACM0", True), ("sim", False), ("vcan0", False), ("udp:4711", False)],
 )
-def test_an_unknown_kind_of_bus_counts_as_real(bus: str, real: bool) -> None:
-    assert is_real(bus) is real
-
-
-def test_each_axis_is_shown_with_position_and_target(setup: RunSetup) -> None:
-    assert motion_lines(setup, [0.0123, -0.02, 0.1]) == [
-        "  vertical     now +0.0123 m     step:0.1@1: between 0 and 0.1 m",
-        "  horizontal   now -0.0200 m     holds its position",
-        "  rotation     now +0.1000 rad   sine:0.2@0/4: between -0.2 and 0.2 rad",
-    ]
-    assert "now unknown" in motion_lines(setup, None)[0]
-
-
-def test_without_a_terminal_the_run_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("yes\n"))
-    assert main(["run", "--bus", "can0"]) == 2
-    error = capsys.readouterr().err
-    assert "can0 may be a real arm" in error
-    assert "give --yes to move vertical, horizontal, rotation" in error
-
-
-@pytest.mark.parametrize("answer", ["", "no\n", "y\n"])
-def test_any_answer_but_yes_moves_nothing(
-    setup: RunSetup, monkeypatch: pytest.MonkeyPatch, answer: str
-) -> None:
-    screen = Terminal()
-    monkeypatch.setattr("sys.stdin", Terminal(answer))
-    monkeypatch.setattr("sys.stderr", screen)
-    monkeypatch.setattr(confirmation, "_measure", lambda *_: None)
-    with pytest.raises(HilError, match="not confirmed; nothing was moved"):
-        confirm_motion(setup, "can0")
-    assert "On can0, these axes will move:" in screen.getvalue()
-    assert "positions are not known" in screen.getvalue()
-
-
-def test_yes_goes_on(setup: RunSetup, monkeypatch: pytest.MonkeyPatch) -> None:
-    screen = Terminal()
-    monkeypatch.setattr("sys.stdin", Terminal("Yes\n"))
-    monkeypatch.setattr("sys.stderr", screen)
-    monkeypatch.setattr(confirmation, "_measure", lambda *_: [0.1, 0.0, 0.0])
-    confirm_motion(setup, "can0")
-    assert "now +0.1000 m" in screen.getvalue()
-
-
-def test_measuring_opens_the_bus_and_listens_first(setup: RunSetup) -> None:
-    """No board is on this bus."""
-    assert confirmation._measure(setup, "inproc:confirmation") is None
+def test_only_a_real_arm_without_an_emergency_stop_is_warned_of(bus: str, is_warned: bool) -> None:
+    setup = load_setup(None, {}, {})
+    texts = [entry.text for entry in protection_warnings(setup, bus)]
+    assert [text[:53] for text in texts] == [
+        "the rig file has no emergency stop (rig: emergency_st"
+    ] * is_warned
+    assert protection_warnings(replace(setup, rig=protected_rig()), bus) == []
