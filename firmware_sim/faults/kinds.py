@@ -178,7 +178,7 @@ class Hang(Fault, frozen=True, tag="hang"):
 
 
 class Babble(Fault, frozen=True, tag="babble"):
-    """A board repeats the last frame that it has sent every ``interval_s`` seconds."""
+    """A board repeats its last frame every ``interval_s`` seconds: its sample, or else its heartbeat."""
 
     board: BoardName
     interval_s: Interval
