@@ -99,7 +99,7 @@ class TestCutOffFiles:
         content = without_end(path.read_bytes())
         last = chunk_starts(content)[-1]
         counts = None
-        for size in range(last, len(content), 3):
+        for size in range(last, len(content), 29):
             torn = tmp_path / "torn.mcap"
             torn.write_bytes(content[:size])
             opened = Recording(torn)
