@@ -25,6 +25,7 @@ COMMANDS = {
     "replay": ("hil.cli.replay", "replay recordings, and compare the core's answers with them"),
     "export": ("hil.cli.export", "write the signals or frames of a recording for other tools"),
     "import": ("hil.cli.import_", "make a recording of a bus log: candump, ASC, BLF or MF4"),
+    "compare": ("hil.cli.compare", "compare two recordings signal by signal, aligned on the same event"),
     "report": ("hil.cli.report", "write an HTML page about a recording, with plots that zoom together"),
     "recover": ("hil.cli.recover", "save what is whole in a recording that was cut off or damaged"),
     "rig": ("hil.cli.rig", "print, copy or check a rig file"),
