@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.recording.reader import Recording
-from hil.recording.tables import IntArray
+from hil.recording.tables import AxisTable, IntArray
 from hil.views.run_columns import AxisColumns, TimingColumns, axis_columns, timing_columns
 
 if TYPE_CHECKING:
@@ -202,13 +202,13 @@ def _bring_up_periods(timing: TimingColumns, state_names: dict[int, str]) -> int
     return int(np.argmax(is_up)) if is_up.any() else len(timing)
 
 
-def _controlled(table: AxisColumns | TimingColumns) -> slice:
+def _controlled(table: AxisColumns | AxisTable | TimingColumns) -> slice:
     """Return the periods from the last one before the controllers acted to the last one in which they did."""
     running = np.flatnonzero(table.running)
     return slice(max(running[0] - 1, 0), running[-1] + 1) if len(running) else slice(0)
 
 
-def axis_summary(axis: AxisColumns) -> StepResponse | Tracking | None:
+def axis_summary(axis: AxisColumns | AxisTable) -> StepResponse | Tracking | None:
     """Return the figures of one axis; None if it was not controlled."""
     axis = axis[_controlled(axis)]
     if len(axis) < 2:
@@ -237,7 +237,7 @@ def axis_summary(axis: AxisColumns) -> StepResponse | Tracking | None:
     )
 
 
-def _last_step(axis: AxisColumns) -> int | None:
+def _last_step(axis: AxisColumns | AxisTable) -> int | None:
     """Return the row in which the setpoint last changed, or None if a change is not a step from rest.
 
     Row 0 is from before the controllers acted, when the setpoint follows the position. The change from there
@@ -270,7 +270,7 @@ def _rise_s(times_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64]
     return float(times_s[reached[1][0]] - times_s[reached[0][0]])
 
 
-def _delay_s(axis: AxisColumns) -> float | None:
+def _delay_s(axis: AxisColumns | AxisTable) -> float | None:
     """Return the delay for which the mean square of position minus delayed setpoint is smallest."""
     setpoint, position = axis.setpoint[:MAX_DELAY_PERIODS], axis.position[:MAX_DELAY_PERIODS]
     count = len(setpoint)
