@@ -26,7 +26,7 @@ COMMANDS = {
     "export": ("hil.cli.export", "write the signals or frames of a recording for other tools"),
     "import": ("hil.cli.import_", "make a recording of a bus log: candump, ASC, BLF or MF4"),
     "compare": ("hil.cli.compare", "compare two recordings signal by signal, aligned on the same event"),
-    "report": ("hil.cli.report", "write an HTML page about a recording, with plots that zoom together"),
+    "report": ("hil.cli.report", "write an HTML page about a recording: plots and figures"),
     "recover": ("hil.cli.recover", "save what is whole in a recording that was cut off or damaged"),
     "rig": ("hil.cli.rig", "print, copy or check a rig file"),
     "vcan": ("hil.cli.vcan", "run a command where the CAN interface vcan0 exists"),
