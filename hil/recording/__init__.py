@@ -59,6 +59,12 @@ def open_recording(path: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     >>> samples.data.shape == (len(samples), 8)
     True
 
+    ``numpy.asarray(table)`` is a structured array; ``to_pandas()``, ``to_polars()`` and ``to_xarray()`` give
+    the types of those libraries. A range of time is read without the rest of the file:
+
+    >>> run.between(0.5, 0.6).axis("vertical").to_pandas().shape
+    (9, 12)
+
     Log, documents and metadata:
 
     >>> last = run.log()[-1]
