@@ -92,7 +92,7 @@ def run_lockstep(
     planned = planned_events(options)
     header = run_header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}, planned)
     boards = build_boards(setup.rig, plant, options)
-    lockstep = Lockstep(boards, 0, boards.host if isinstance(boards, FaultyRig) else None)
+    lockstep = Lockstep(boards, 0, boards.host if isinstance(boards, FaultyRig) else None, LOCKSTEP_EPOCH_NS)
     gateway = setup.gateway(setup.rig.loop.period_ns)
     with stop_on_signals() as stop_request:
         recorder = Recorder(path, header, lossless=True)
