@@ -14,6 +14,8 @@ simulated time. The names below are the public API. Each is imported when it is 
 ``LinearPlant``         a linear model on each axis, eq. (15) by default
 ``LinearModel``         one linear model; ``read_plant_file`` reads it from a plant file
 ``parse_event``         an event on the arm, from a text such as ``payload:3@4``
+``FaultyRig``           a ``SimulatedRig`` with faults of the fault library
+``parse_fault``         a fault, from a text such as ``lose:sample,5@2``
 ``read_scenario``       an experiment in one file; ``find_scenario`` finds a shipped one
 ======================  =====================================================================================
 
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
     from firmware_sim.arm.event_text import parse_event
     from firmware_sim.arm.wiring import wiring
     from firmware_sim.boards.faults import AdcFaults, DacFaults
+    from firmware_sim.faults.fault_text import parse_fault
+    from firmware_sim.faulty_rig import FaultyRig
     from firmware_sim.plants.linear_model import LinearModel
     from firmware_sim.plants.linear_plant import LinearPlant
     from firmware_sim.plants.plant import Plant
@@ -47,12 +51,14 @@ _HOMES = {
     "AdcFaults": "firmware_sim.boards.faults",
     "Arm": "firmware_sim.arm.arm",
     "DacFaults": "firmware_sim.boards.faults",
+    "FaultyRig": "firmware_sim.faulty_rig",
     "LinearModel": "firmware_sim.plants.linear_model",
     "LinearPlant": "firmware_sim.plants.linear_plant",
     "Plant": "firmware_sim.plants.plant",
     "SimulatedRig": "firmware_sim.simulated_rig",
     "find_scenario": "firmware_sim.scenario",
     "parse_event": "firmware_sim.arm.event_text",
+    "parse_fault": "firmware_sim.faults.fault_text",
     "read_arm": "firmware_sim.arm.arm_file",
     "read_plant_file": "firmware_sim.plants.plant_file",
     "read_scenario": "firmware_sim.scenario",
@@ -65,12 +71,14 @@ __all__ = [
     "AdcFaults",
     "Arm",
     "DacFaults",
+    "FaultyRig",
     "LinearModel",
     "LinearPlant",
     "Plant",
     "SimulatedRig",
     "find_scenario",
     "parse_event",
+    "parse_fault",
     "read_arm",
     "read_plant_file",
     "read_scenario",

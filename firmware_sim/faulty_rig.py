@@ -91,14 +91,13 @@ class FaultyRig:
         """Last frame on the bus by identifier."""
         self._copied: dict[int, Frame] = {}
         """Frame that a foreign node repeats, by the identity of its fault."""
-        self._last_of_board: dict[str, Frame] = {}
-        self._has_sampled = self._is_running = False
+        self._is_running = False
         centre_v = [5.0, 5.0, 5.0]
         for axis in rig.axes.values():
             centre_v[axis.valve.channel - 1] = axis.valve.centre_v
         self._centre_counts = [round(volts * _COUNTS_PER_V) for volts in centre_v]
         for fault in faults:
-            self._arm(fault)
+            self._wait_for_condition(*self._checked(fault))
 
     def inject(self, fault: AnyFault | str, now_ns: int) -> Frames:
         """Arm a fault whose ``at_s`` counts from now, or from its condition. Returns frames that it causes.
@@ -106,10 +105,10 @@ class FaultyRig:
         Raises DocumentError as the constructor does.
         """
         parsed, random = self._checked(fault)
+        if _COMMAND_ID in self._last:
+            self._note_command(self._last[_COMMAND_ID])
         if parsed.when:
-            self._waiting.append(
-                (parse_condition(parsed.when, list(self._rig.axes), "fault"), parsed, random)
-            )
+            self._wait_for_condition(parsed, random)
             return ()
         self._schedule(now_ns + round(parsed.at_s * 1e9), partial(self._begin, parsed, random))
         return self._run_agenda(now_ns)
@@ -126,8 +125,8 @@ class FaultyRig:
     def next_deadline_ns(self) -> int:
         """Time of the next call of ``on_deadline``."""
         deadline_ns = self.boards.next_deadline_ns
-        if self._agenda:
-            deadline_ns = min(deadline_ns, self._agenda[0][0])
+        if self._agenda and self._agenda[0][0] < deadline_ns:
+            deadline_ns = self._agenda[0][0]
         for _, twin in self._twins:
             deadline_ns = min(deadline_ns, twin.next_deadline_ns)
         return deadline_ns
@@ -138,14 +137,16 @@ class FaultyRig:
 
     def receive(self, frame: Frame, now_ns: int) -> Frames:
         """Handle a frame from the gateway. Returns the frames that arrive at the gateway."""
+        last = self._last
+        last[frame.id] = frame
+        if not (self._waiting or self._agenda or self._changers or self._silences or self._twins):
+            answers = self.boards.receive(frame, now_ns)
+            for answer in answers:
+                last[answer.id] = answer
+            return answers
         frames: Frames = ()
         if self._agenda and self._agenda[0][0] < now_ns:
             frames = self._run_agenda(now_ns)
-        self._last[frame.id] = frame
-        if not (self._waiting or self._changers or self._silences or self._twins):
-            self._note_command(frame)
-            answers = self.boards.receive(frame, now_ns)
-            return frames + (self._to_gateway(answers, now_ns) if answers else ())
         if frame.id == _COMMAND_ID:
             self._note_command(frame)
             frames += self._judge_conditions(now_ns)
@@ -177,11 +178,8 @@ class FaultyRig:
         arriving: Frames = ()
         for frame in frames:
             self._last[frame.id] = frame
-            self._last_of_board["adc" if frame.id & 0x7F == ADC_NODE else "dac"] = frame
-            if frame.id == _SAMPLE_ID:
-                self._has_sampled = True
-                if self._waiting:
-                    arriving += self._judge_conditions(now_ns)
+            if frame.id == _SAMPLE_ID and self._waiting:
+                arriving += self._judge_conditions(now_ns)
             if self._changers or self._silences:
                 arriving += self._pass(frame, now_ns, to_gateway=True)
             else:
@@ -228,7 +226,7 @@ class FaultyRig:
 
     def _judge_conditions(self, now_ns: int) -> Frames:
         """Schedule the faults whose condition is met by the last frames, and begin those that are due."""
-        seen = Observation(self._has_sampled, self._is_running, self._positions())
+        seen = Observation(_SAMPLE_ID in self._last, self._is_running, self._positions())
         met = [entry for entry in self._waiting if entry[0].is_met(seen)]
         if not met:
             return ()
@@ -247,10 +245,9 @@ class FaultyRig:
             for name, axis in self._rig.axes.items()
         }
 
-    def _arm(self, fault: AnyFault | str) -> None:
-        parsed, random = self._checked(fault)
-        condition = parse_condition(parsed.when, list(self._rig.axes), f"fault {fault_text(parsed)!r}")
-        self._waiting.append((condition, parsed, random))
+    def _wait_for_condition(self, fault: AnyFault, random: Random) -> None:
+        condition = parse_condition(fault.when, list(self._rig.axes), f"fault {fault_text(fault)!r}")
+        self._waiting.append((condition, fault, random))
 
     def _checked(self, fault: AnyFault | str) -> tuple[AnyFault, Random]:
         parsed = parse_fault(fault) if isinstance(fault, str) else fault
@@ -348,7 +345,8 @@ class FaultyRig:
             case Flood(identifier=identifier):
                 return self._from_stranger(Frame(identifier, bytes(8)), now_ns)
             case Babble(board=name):
-                frame = self._last_of_board.get(name)
+                frame = self._last.get(_SAMPLE_ID) if name == "adc" else None
+                frame = frame or self._last.get(FRAME_IDS[f"{name}-heartbeat"])
                 return () if frame is None else self._to_gateway((frame,), now_ns)
             case Foreign(frame=name):
                 identifier = FRAME_IDS[name]

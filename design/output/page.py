@@ -1,6 +1,7 @@
 """Render the HTML pages: each is one file that refers to nothing outside itself.
 
-``page.html`` holds the style sheet and the script that all pages share; every other template extends it.
+``page.html`` holds the script that all pages share; every other template extends it. The style sheet is that
+of all reports of the product, ``hil/host/page_style.html``.
 """
 
 from __future__ import annotations
@@ -23,5 +24,9 @@ def render_page(template: str, **values: Any) -> str:
     return environment.get_template(template).render(values)
 
 
+STYLE_SHEET = "page_style.html"
+
+
 def _template(name: str) -> str:
-    return resources.files("design.output").joinpath(name).read_text("utf-8")
+    folder = "hil.host" if name == STYLE_SHEET else "design.output"
+    return resources.files(folder).joinpath(name).read_text("utf-8")

@@ -40,25 +40,25 @@ class Answer(NamedTuple):
 
 
 def frame_to_text(frame: Frame) -> bytes:
-    """Return the line for a frame, such as ``t1232AABB``, without its end. A remote frame has length 0."""
+    """Return the line for a frame, such as ``t1232AABB``, without its end."""
     kind = ("R" if frame.is_extended else "r") if frame.is_remote else ("T" if frame.is_extended else "t")
     identifier = f"{frame.id:08X}" if frame.is_extended else f"{frame.id:03X}"
-    return f"{kind}{identifier}{len(frame.data)}{frame.data.hex().upper()}".encode()
+    data = "" if frame.is_remote else frame.data.hex().upper()
+    return f"{kind}{identifier}{len(frame.data)}{data}".encode()
 
 
 def frame_from_text(line: bytes) -> Frame | None:
-    """Return the frame in a line (without its end), or None if the line is no frame.
-
-    The length that a remote frame requests is dropped.
-    """
+    """Return the frame in a line (without its end), or None if the line is no frame."""
     match = _FRAME.fullmatch(line)
     if match is None:
         return None
     kind = match["kind"] or match["long_kind"]
     is_remote = kind in b"rR"
-    data = bytes.fromhex(match["data"].decode())
-    if len(data) != (0 if is_remote else int(match["length"])):
+    data, length = bytes.fromhex(match["data"].decode()), int(match["length"])
+    if len(data) != (0 if is_remote else length):
         return None
+    if is_remote:
+        data = bytes(length)
     return Frame(int(match["id"] or match["long_id"], 16), data, kind in b"TR", is_remote)
 
 

@@ -28,12 +28,15 @@ from firmware_sim.boards.codec import (
     RPDO1_ID,
     SYNC_ID,
     TPDO1_ID,
+    TPDO2_ID,
 )
 from hil.core.documents import Document
 
 FRAME_IDS: Final = {
     "sample": TPDO1_ID + ADC_NODE,
     "command": RPDO1_ID + DAC_NODE,
+    "inputs": TPDO2_ID + ADC_NODE,
+    "read-back": TPDO1_ID + DAC_NODE,
     "sync": SYNC_ID,
     "nmt": NMT_ID,
     "adc-heartbeat": HEARTBEAT_ID + ADC_NODE,
@@ -47,6 +50,8 @@ FRAME_IDS: Final = {
 FrameName = Literal[
     "sample",
     "command",
+    "inputs",
+    "read-back",
     "sync",
     "nmt",
     "adc-heartbeat",
@@ -173,7 +178,7 @@ class Hang(Fault, frozen=True, tag="hang"):
 
 
 class Babble(Fault, frozen=True, tag="babble"):
-    """A board repeats the last frame that it has sent every ``interval_s`` seconds."""
+    """A board repeats its last frame every ``interval_s`` seconds: its sample, or else its heartbeat."""
 
     board: BoardName
     interval_s: Interval

@@ -8,6 +8,7 @@ import time
 
 from hil.cli.run_parts import SIMULATED
 from hil.core.errors import HilError
+from hil.core.output import LogEntry, Severity
 from hil.core.setpoints import Setpoint
 from hil.shells.run_setup import RunSetup
 
@@ -18,6 +19,17 @@ INSIDE_THIS_MACHINE = ("vcan", "udp:", "inproc:")
 def is_real(bus: str) -> bool:
     """Return whether real boards may be on a bus. An unknown kind of bus counts as real."""
     return bus != SIMULATED and not bus.removeprefix("socketcan:").startswith(INSIDE_THIS_MACHINE)
+
+
+def protection_warnings(setup: RunSetup, bus: str) -> list[LogEntry]:
+    """Return warnings of the protection that the rig file of a real arm does not have."""
+    if not is_real(bus) or setup.rig.emergency_stop is not None:
+        return []
+    text = (
+        "the rig file has no emergency stop (rig: emergency_stop): a button that cuts the supply of the "
+        "valves must be within reach"
+    )
+    return [LogEntry(Severity.WARNING, "rig", text)]
 
 
 def confirm_motion(setup: RunSetup, bus: str) -> None:

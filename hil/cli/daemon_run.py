@@ -11,6 +11,7 @@ import traceback
 
 from firmware_sim.simulated_plant import planned_events
 from hil import __version__
+from hil.cli.confirmation import protection_warnings
 from hil.cli.daemon_actions import EVENT_CHECK, daemon_actions, has_events
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
@@ -89,6 +90,8 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 recordings,
             )
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
+            for warning in protection_warnings(setup, bus):
+                session.note(warning)
             error = run(session, link, stop, port.serve)
         notifier.send("STOPPING=1")
         metadata = {"rights": rights.as_metadata(), "ending": _ending(session, link)}

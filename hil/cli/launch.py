@@ -9,6 +9,7 @@ import traceback
 from pathlib import Path
 
 from firmware_sim.simulated_plant import build_boards, build_plant, planned_events, refuse_host_faults
+from hil.cli.confirmation import protection_warnings
 from hil.cli.quantities import duration_text
 from hil.cli.run_parts import (
     SIMULATED,
@@ -64,6 +65,8 @@ def run_realtime(
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display, most_refused)
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
+            for warning in protection_warnings(setup, bus):
+                session.note(warning)
             _announce(session, setup, plan.duration_s, planned)
             error = run(session, link, stop_request)
         ending = _ending(plan, gateway) | {
@@ -89,7 +92,7 @@ def run_lockstep(
     planned = planned_events(options)
     header = run_header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}, planned)
     boards = build_boards(setup.rig, plant, options)
-    lockstep = Lockstep(boards, 0, boards.host if isinstance(boards, FaultyRig) else None)
+    lockstep = Lockstep(boards, 0, boards.host if isinstance(boards, FaultyRig) else None, LOCKSTEP_EPOCH_NS)
     gateway = setup.gateway(setup.rig.loop.period_ns)
     with stop_on_signals() as stop_request:
         recorder = Recorder(path, header, lossless=True)

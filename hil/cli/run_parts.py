@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -49,6 +50,7 @@ def run_header(
         epoch_offset_ns=epoch_offset_ns,
         bus=bus,
         stamp_origin=stamp_origin,
+        began_ns=epoch_offset_ns if stamp_origin == "simulated" else time.time_ns(),
         axes=tuple((name, axis.unit) for name, axis in setup.rig.axes.items()),
         attachments={
             name: (MEDIA_TYPES.get(Path(name).suffix, "text/plain"), text.encode())

@@ -150,7 +150,9 @@ class Gateway:
         """
         skipped = self._clock.skipped_periods(now_ns)
         ended = self._end_period(skipped, now_ns)
-        timeouts = combine(self._boards.begin_period(now_ns), self._protection.check(now_ns))
+        timeouts = self._boards.begin_period(now_ns)
+        if self._protection.is_used:
+            timeouts = combine(timeouts, self._protection.check(now_ns))
         jog_ended = self._jogging.begin_period(now_ns)
         self._clock.begin_period(now_ns, skipped)
         self._has_sample = False

@@ -63,6 +63,8 @@ class HardwareProtection:
         read_back_ids = {codec.TPDO1_DAC} if self.reads_back else set()
         self.identifiers = frozenset({contact.identifier for contact in self._inputs} | read_back_ids)
         """Identifiers of the frames that :meth:`receive` takes."""
+        self.is_used = bool(self.identifiers)
+        """Whether the rig file names any protection by hardware."""
         self._stop_was_closed = False
         """Whether the emergency stop was closed at the last check."""
         self._valves_followed = False
@@ -94,7 +96,7 @@ class HardwareProtection:
 
     def check(self, now_ns: int) -> Output:
         """React to a contact that has opened and to valves that do not follow, once for each time."""
-        if not self.identifiers:
+        if not self.is_used:
             return NOTHING
         return combine(self._check_emergency_stop(now_ns), self._check_valves(), self._check_enable(now_ns))
 

@@ -15,9 +15,9 @@ class LifeCycleState(IntEnum):
     """
 
     OFFLINE = 0
-    """A board is missing or has an error, or no good sample has arrived."""
+    """A board is missing or has an error, no good sample has arrived, or a hardware protection is missing."""
     READY = 1
-    """Both boards are operational and samples are good."""
+    """Both boards are operational, samples are good, and the emergency stop is closed if there is one."""
     ARMED = 2
     """An operator has allowed motion. The valves are still centred."""
     RUNNING = 3

@@ -2,7 +2,8 @@
 
 The voltages after a SYNC are those of the last command before it, whether the board applies commands at SYNC
 or at once. A valve that differs from its command for several periods in a row does not follow it. Single
-differences are tolerated, because a command or a SYNC can be lost on the bus.
+differences are tolerated, because a command or a SYNC can be lost on the bus. More answers than SYNCs in
+several periods come from a second board with the same node id.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.core.rig import Rig
+from hil.core.surplus_answers import SURPLUS_PERIODS_LIMIT, SurplusAnswers
 from hil.core.sync_matching import MAX_COUNTER_STEP
 from hil.core.wire import codec
 from hil.core.wire.crc8 import crc8_j1850
@@ -29,6 +31,7 @@ class ValveReadBack:
         self._max_missing = rig.adc.stale_after_periods
         self._expected_v: Sequence[float] | None = None
         """Commands that the board applied at the last SYNC; None if its answer has arrived, or before it."""
+        self._surplus = SurplusAnswers()
         self._last_counter: int | None = None
         self._missing = 0
         """Number of consecutive SYNCs that were not answered."""
@@ -50,10 +53,21 @@ class ValveReadBack:
                     f"{self._max_missing} (rig: adc.stale_after_periods)"
                 )
         self._expected_v = tuple(commanded_v)
+        self._surplus.begin_period()
+        self._surplus.sync_sent()
 
     def receive(self, data: bytes) -> str | None:
         """Take the data of a TPDO1_DAC frame, and update ``problem``. Returns why it is rejected, or None."""
-        rejection = self._check(data)
+        rejection = self._damage(data)
+        if rejection is not None:
+            return rejection
+        if self._surplus.answer_received():
+            self.problem = (
+                f"TPDO1_DAC: more answers than SYNCs in {SURPLUS_PERIODS_LIMIT} periods: another node sends "
+                "the same identifier; check the node ids"
+            )
+            return None
+        rejection = self._repetition(data) if self._protected else None
         if rejection is not None:
             return rejection
         if self._expected_v is None:
@@ -63,7 +77,7 @@ class ValveReadBack:
         self.problem = self._compare(expected_v, codec.decode_tpdo1_dac((data + b"\0\0")[:8])[:3])
         return None
 
-    def _check(self, data: bytes) -> str | None:
+    def _damage(self, data: bytes) -> str | None:
         if len(data) != self._length:
             return f"TPDO1_DAC has {len(data)} bytes, not {self._length} (rig: dac.protected)"
         if not self._protected:
@@ -71,6 +85,10 @@ class ValveReadBack:
         crc = crc8_j1850(data[:7])
         if crc != data[7]:
             return f"TPDO1_DAC: CRC 0x{data[7]:02X}, computed 0x{crc:02X}"
+        return None
+
+    def _repetition(self, data: bytes) -> str | None:
+        """Return why a frame is not newer than the one before, or None. Its counter is remembered."""
         counter, before = data[6], self._last_counter
         self._last_counter = counter
         if before is not None and not 1 <= (counter - before) & 0xFF <= MAX_COUNTER_STEP:

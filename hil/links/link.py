@@ -69,6 +69,7 @@ class Link:
         message = self._message(
             arbitration_id=frame.id,
             data=frame.data,
+            dlc=len(frame.data),
             is_extended_id=frame.is_extended,
             is_remote_frame=frame.is_remote,
             is_error_frame=frame.is_error,

@@ -28,14 +28,15 @@ def frame_of(message: can.Message) -> Frame | None:
         and isinstance(identifier, int)
         and 0 <= identifier <= (MAX_EXTENDED_ID if is_long else MAX_STANDARD_ID)
         and len(data) <= _MAX_DATA_BYTES
-        and (bool(message.is_remote_frame) or len(data) == message.dlc)
+        and isinstance(message.dlc, int)
+        and (0 <= message.dlc <= _MAX_DATA_BYTES if message.is_remote_frame else len(data) == message.dlc)
         and isinstance(message.timestamp, int | float)
         and abs(message.timestamp) < _MAX_STAMP_S
     ):
         return None
     return Frame(
         int(identifier),
-        bytes(data),
+        bytes(message.dlc) if message.is_remote_frame else bytes(data),
         bool(message.is_extended_id),
         bool(message.is_remote_frame),
         bool(message.is_error_frame),

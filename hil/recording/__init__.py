@@ -9,6 +9,7 @@ numpy; the loop's side imports neither numpy nor mcap.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["open_recording"]
 
 
-def open_recording(path: str | os.PathLike[str]) -> Recording:
-    """Open the recording of a run.
+def open_recording(path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> Recording:
+    """Open the recording of a run: its file, all files of a run in several files, or their folder.
 
     Raises RecordingError when ``path`` is not a recording or is damaged. A file that was cut off, by a crash
     for example, is opened: it has everything up to its last complete chunk, and ``complete`` is False.
@@ -57,6 +58,12 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     >>> samples = run.frames("received", identifier=0x190)
     >>> samples.data.shape == (len(samples), 8)
     True
+
+    ``numpy.asarray(table)`` is a structured array; ``to_pandas()``, ``to_polars()`` and ``to_xarray()`` give
+    the types of those libraries. A range of time is read without the rest of the file:
+
+    >>> run.between(0.5, 0.6).axis("vertical").to_pandas().shape
+    (9, 12)
 
     Log, documents and metadata:
 

@@ -51,6 +51,8 @@ class RunHeader(msgspec.Struct, frozen=True):
     """Media type and content of each document, by its name: rig file, DBC, controller and setpoint files."""
     metadata: dict[str, dict[str, str]] = {}
     """Entries of each metadata record, by its name: versions, setpoints, hashes of the documents."""
+    began_ns: int = 0
+    """Time at which the run began, in epoch ns; 0: ``epoch_offset_ns``. The attachments have this time."""
 
 
 class NextFile(msgspec.Struct, frozen=True):

@@ -5,54 +5,72 @@ All ``_ns`` are on the gateway's monotonic clock, unless stated otherwise.
 
 from __future__ import annotations
 
-import os
+import json
+import math
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from copy import copy
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import RecordingError
-from hil.recording.entries import Entry, Logged, Message, decoder_of, log_entry_of
+from hil.recording.entries import Decoder, Entry, Logged, Message, decoder_of, log_entry_of
 from hil.recording.handover import MESSAGE_HEADER, RECORD_HEADER, SEQUENCE_MASK
-from hil.recording.mcap_reader import McapContents, Rows
+from hil.recording.mcap_reader import DEFINITION_ERRORS, Rows, numpy_codes
+from hil.recording.mcap_writer import DIGESTED_NAMES, METADATA_DIGEST, metadata_digest
+from hil.recording.run_files import Paths, open_contents
 from hil.recording.schemas import (
+    AXIS_SIGNALS,
     AXIS_TOPIC,
+    CYCLE,
     CYCLE_TOPIC,
     FORMAT_VERSION,
+    FRAME,
     LOG_TOPIC,
     RECEIVED_TOPIC,
     REFUSED_TOPIC,
     SENT_TOPIC,
+    MessageType,
 )
 from hil.recording.tables import AxisTable, BoolArray, FrameTable, IntArray, TimingTable
 
 _SECOND_NS = 1_000_000_000
+_ALWAYS_NS = 2**62
+"""Magnitude of an instant beyond all others."""
+_MAX_LOG_DELAY_NS = 10 * _SECOND_NS
+"""Largest time from a sampling instant to the log time of its period, for the choice of chunks to read."""
+_Decoded = TypeVar("_Decoded")
 _FRAME_TOPICS = {"received": RECEIVED_TOPIC, "sent": SENT_TOPIC, "refused": REFUSED_TOPIC}
 
 
 class Recording:
     """The recording of one run; see :func:`hil.recording.open_recording` for examples.
 
-    A file that was cut off gives everything up to its last complete chunk. Raises RecordingError when
-    ``path`` is not a recording, has another format version than ``schemas.FORMAT_VERSION``, or is damaged
-    other than at its end.
+    ``path``: a file; or all files of a run that the recorder wrote to several files; or their folder. A file
+    that was cut off gives everything up to its last complete chunk. Raises RecordingError when ``path`` is
+    not a recording, has another format version than ``schemas.FORMAT_VERSION``, or is damaged other than at
+    its end.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        self._contents = contents = McapContents(self.path)
+    def __init__(self, path: Paths) -> None:
+        self._contents = contents = open_contents(path)
+        self.path = contents.path
+        """The file, or the first file of the run."""
+        self._range_ns: tuple[int, int] | None = None
         self.attachments: dict[str, bytes] = contents.attachments
         """Content of each attached document, by its name."""
         self.metadata: dict[str, dict[str, str]] = contents.metadata
         """Entries of each metadata record, by its name: ``run``, ``setpoints``, ``ending``, ``rights``."""
-        self.complete: bool = contents.is_complete
-        """True if the file was ended properly, False if it was cut off."""
+        recovery = self.metadata.get("recovery", {})
+        self.complete: bool = contents.is_complete and recovery.get("complete", "yes") == "yes"
+        """True if the file was ended properly, False if it was cut off or saved by ``hil recover``."""
         own = self._own_metadata()
+        if not contents.is_complete:
+            self._check_metadata(own)
         self.bus: str = own["bus"]
         """Name of the bus."""
         try:
@@ -80,6 +98,22 @@ class Recording:
                 + (f", version {writer}" if writer else "")
             )
         return own
+
+    def _check_metadata(self, own: dict[str, str]) -> None:
+        """Check the digest of the metadata, which no CRC covers in a file that was cut off."""
+        digest, names = own.get(METADATA_DIGEST), own.get(DIGESTED_NAMES)
+        if digest is None and names is None:
+            return  # recorded by pneumatic-hil 0.2
+        try:
+            covered = json.loads(names or "[]")
+            found = metadata_digest({name: self.metadata.get(name, {}) for name in covered})
+        except (ValueError, TypeError):
+            found = ""
+        if found != digest:
+            raise RecordingError(
+                f"{self.path}: damaged: metadata were changed: their SHA-256 is not that in metadata "
+                f"recording.{METADATA_DIGEST}"
+            )
 
     @property
     def axes(self) -> dict[str, str]:
@@ -118,19 +152,60 @@ class Recording:
     def start_ns(self) -> int:
         """Instant from which ``time_s`` counts: ``wake_ns`` of the first recorded period, 0 without one."""
         first = self._contents.first_row(CYCLE_TOPIC, "")
+        if "wake_ns" not in (first.dtype.names or ()):
+            raise RecordingError(f"{self.path}: {CYCLE_TOPIC}: the definition of its messages lacks wake_ns")
         return int(first["wake_ns"][0]) if len(first) else 0
 
     def seconds(self, time_ns: int) -> float:
         """Convert an instant to seconds from the first recorded period, the scale of every ``time_s``."""
         return (time_ns - self.start_ns) * 1e-9
 
+    @property
+    def duration_s(self) -> float:
+        """Time in seconds from the first recorded period to the last message; 0.0 without a message."""
+        span = self._contents.time_range_ns()
+        return 0.0 if span is None else self.seconds(span[1] - self.epoch_offset_ns)
+
+    def between(self, from_s: float | None = None, to_s: float | None = None) -> Recording:
+        """Return the recording restricted to a range of time, ``from_s`` <= ``time_s`` < ``to_s``.
+
+        The other parts of the file are not read. None means the begin or the end of the recording. Signals,
+        timing, frames and log of the result are those of the range; its ``time_s`` still counts from the
+        first recorded period, and ``counts`` are those of the whole file.
+
+        >>> from hil.recording import open_recording
+        >>> float(open_recording("run.mcap").between(1.0, 1.5).timing().time_s[0])
+        1.008
+        """
+        if from_s is not None and to_s is not None and not from_s < to_s:
+            raise RecordingError(f"the range from {from_s:g} s to {to_s:g} s is empty")
+        low = -_ALWAYS_NS if from_s is None else self.start_ns + round(from_s * _SECOND_NS)
+        high = _ALWAYS_NS if to_s is None else self.start_ns + round(to_s * _SECOND_NS)
+        part = copy(self)
+        part._range_ns = (low, high)
+        return part
+
+    def windows(self, length_s: float) -> Iterator[Recording]:
+        """Yield the recording in consecutive ranges of ``length_s`` seconds, to be read one at a time."""
+        span = self._contents.time_range_ns()
+        if span is None:
+            return
+        first_s = self.seconds(span[0] - self.epoch_offset_ns)
+        count = max(math.ceil((self.duration_s - first_s) / length_s), 1)
+        for number in range(count):
+            yield self.between(
+                first_s + number * length_s if number else None,
+                first_s + (number + 1) * length_s if number < count - 1 else None,
+            )
+
     def axis(self, name: str) -> AxisTable:
         """Return the signals of an axis, one row for each period. Raises RecordingError without that axis."""
         if name not in self.axes:
             raise RecordingError(f"{self.path}: no axis {name!r}; the recording has {', '.join(self.axes)}")
-        rows = self._contents.rows(AXIS_TOPIC + name, "")
+        rows = self._rows(AXIS_TOPIC + name, AXIS_SIGNALS)
         time_ns = rows["header.stamp.sec"].astype(np.int64) * _SECOND_NS + rows["header.stamp.nanosec"]
         time_ns -= self.epoch_offset_ns
+        rows, time_ns = self._in_range(rows, time_ns)
         signals = (
             "setpoint",
             "position",
@@ -153,7 +228,8 @@ class Recording:
 
     def timing(self) -> TimingTable:
         """Return the timing of the loop, one row for each period."""
-        rows = self._contents.rows(CYCLE_TOPIC, "")
+        rows = self._rows(CYCLE_TOPIC, CYCLE)
+        rows, _ = self._in_range(rows, rows["wake_ns"])
         instants = ("deadline_ns", "wake_ns", "receive_ns", "computed_ns", "sent_ns")
         return TimingTable(
             time_s=self._seconds(rows["wake_ns"]),
@@ -168,12 +244,12 @@ class Recording:
 
         With ``identifier``, only the data frames with this identifier of 11 bits.
         """
-        rows = self._contents.rows(_FRAME_TOPICS[which], self.bus)
+        rows = self._rows(_FRAME_TOPICS[which], FRAME, self.bus)
         if identifier is not None:
             rows = rows[
                 (rows["id"] == identifier) & ~rows["is_extended"] & ~rows["is_rtr"] & ~rows["is_error"]
             ]
-        time_ns = rows["log_time"].astype(np.int64) - self.epoch_offset_ns
+        rows, time_ns = self._in_range(rows, rows["log_time"].astype(np.int64) - self.epoch_offset_ns)
         return FrameTable(
             time_s=self._seconds(time_ns),
             time_ns=time_ns,
@@ -186,47 +262,108 @@ class Recording:
 
     def log(self) -> list[Logged]:
         """Return the log entries, each with its time in ns."""
-        return list(map(log_entry_of, self._messages({self._contents.channel(LOG_TOPIC).id})))
+        found = []
+        low, high = self._range_ns or (-_ALWAYS_NS, _ALWAYS_NS)
+        for message in self._messages(LOG_TOPIC):
+            if low <= message.now_ns < high:
+                found.append(self._decoded(log_entry_of, message))
+        return found
 
     def entries(self) -> Iterator[Entry]:
         """Yield all entries in the order in which they were recorded.
 
-        Raises RecordingError where messages were dropped, since the following entries cannot be replayed.
+        Raises RecordingError where messages are missing, since the following entries cannot be replayed, and
+        for a range of time.
         """
-        decoders = {
-            channel.id: decoder_of(topic, self._contents.definition(topic), self.bus, self.epoch_offset_ns)
-            for topic, channel in self._contents.channels.items()
-        }
+        if self._range_ns is not None:
+            raise RecordingError(f"{self.path}: a range of time cannot be replayed; open the whole recording")
+        decoders = {channel.id: self._decoder_of(topic) for topic, channel in self._contents.channels.items()}
         expected = 1
         for message in self._messages(None):
             if message.sequence != expected:
                 missing = (message.sequence - expected) & SEQUENCE_MASK
                 raise RecordingError(
-                    f"{self.path}: {missing} messages before {message.now_ns} ns were dropped while "
-                    "recording; the entries after them cannot be replayed"
+                    f"{self.path}: {missing} messages before {message.now_ns} ns {self._why_missing()}; the "
+                    "entries after them cannot be replayed"
                 )
             expected = (message.sequence + 1) & SEQUENCE_MASK
             decode = decoders.get(message.channel)
-            if decode is None:
-                continue
-            try:
-                entry = decode(message)
-            except (ValueError, struct.error) as error:
-                raise RecordingError(
-                    f"{self.path}: message {message.sequence} cannot be read: {error}"
-                ) from None
-            yield entry
+            if decode is not None:
+                yield self._decoded(decode, message)
         if self.messages_dropped:
             raise RecordingError(
                 f"{self.path}: {self.messages_dropped} messages after the last one were dropped while "
                 "recording"
             )
+        missing = self._messages_at_end() - (expected - 1)
+        if missing > 0:
+            raise RecordingError(
+                f"{self.path}: {missing} messages after the last one were removed by another program: the "
+                f"recorder wrote {expected - 1 + missing}"
+            )
 
-    def _messages(self, channels: set[int] | None) -> Iterator[Message]:
-        """Yield the messages of ``channels`` (None: of all) in the order in which they were recorded."""
-        for body, offsets in self._contents.chunks():
-            chosen = offsets.keys() if channels is None else channels & offsets.keys()
-            places = sorted((offset, channel) for channel in chosen for offset in offsets[channel].tolist())
+    def _messages_at_end(self) -> int:
+        """Return the number of messages that the recorder wrote; 0 if the recording does not have it."""
+        count = self.metadata.get("recorder", {}).get("messages", "")
+        return int(count) & SEQUENCE_MASK if count.isdecimal() and self.complete else 0
+
+    def _why_missing(self) -> str:
+        if "recovery" in self.metadata:
+            return "were lost before `hil recover` saved the rest"
+        if self.messages_dropped or not self.complete:
+            return "were dropped while recording"
+        if "messages" in self.metadata.get("recorder", {}):
+            return "were removed by another program: the recorder has dropped none"
+        return "were dropped while recording, or removed later"
+
+    def _decoder_of(self, topic: str) -> Decoder | None:
+        """Return the decoder of a topic; None if the gateway does not write it. Raises RecordingError."""
+        try:
+            definition = self._contents.definition(topic)
+        except RecordingError:
+            if decoder_of(topic, "", self.bus, self.epoch_offset_ns) is None:
+                return None
+            raise
+        try:
+            return decoder_of(topic, definition, self.bus, self.epoch_offset_ns)
+        except DEFINITION_ERRORS as error:
+            raise RecordingError(
+                f"{self.path}: {topic}: the definition of its messages cannot be read: {error}"
+            ) from None
+
+    def _decoded(self, decode: Callable[[Message], _Decoded], message: Message) -> _Decoded:
+        try:
+            return decode(message)
+        except (ValueError, IndexError, TypeError, struct.error) as error:
+            raise RecordingError(f"{self.path}: message {message.sequence} cannot be read: {error}") from None
+
+    def _rows(self, topic: str, kind: MessageType, frame_id: str = "") -> Rows:
+        """Return the rows of ``topic`` within the range of time, and some around it.
+
+        Raises RecordingError when the topic lacks a field of ``kind``, or has it with another type.
+        """
+        found: Mapping[str, Any] = self._contents.row_type(topic, frame_id).fields or {}
+        for field, code in numpy_codes(kind.definition, frame_id).items():
+            if field not in found or found[field][0] != np.dtype(code):
+                raise RecordingError(
+                    f"{self.path}: {topic}: the definition of its messages lacks the field {field}, or gives "
+                    "it another type"
+                )
+        if self._range_ns is None:
+            return self._contents.rows(topic, frame_id)
+        low, high = (time_ns + self.epoch_offset_ns for time_ns in self._range_ns)
+        return self._contents.rows(topic, frame_id, (low, high + _MAX_LOG_DELAY_NS))
+
+    def _in_range(self, rows: Rows, time_ns: IntArray) -> tuple[Rows, IntArray]:
+        if self._range_ns is None:
+            return rows, time_ns
+        chosen = (time_ns >= self._range_ns[0]) & (time_ns < self._range_ns[1])
+        return rows[chosen], time_ns[chosen]
+
+    def _messages(self, topic: str | None) -> Iterator[Message]:
+        """Yield the messages of ``topic`` (None: of all) in the order in which they were recorded."""
+        for body, offsets in self._contents.chunks(topic):
+            places = sorted((offset, channel) for channel in offsets for offset in offsets[channel].tolist())
             for offset, channel in places:
                 prefix, sequence, log_time, stamp_ns = MESSAGE_HEADER.unpack_from(body, offset)
                 end = offset + RECORD_HEADER.size + RECORD_HEADER.unpack(prefix[: RECORD_HEADER.size])[1]

@@ -8,6 +8,7 @@ layout from the same definition. CDR: OMG DDS-XTypes 1.3, section 7.4.3.
 
 from __future__ import annotations
 
+import itertools
 import re
 import struct
 from collections.abc import Iterator, Sequence
@@ -23,6 +24,9 @@ FORMAT_VERSION = 2
 ``/gateway/operator``, and the log was ``/gateway/events``. The reader refuses every version but its own by
 name.
 """
+
+MAX_FIELDS = 1000
+"""Largest number of fields of a message, inner ones included. A damaged definition may have any number."""
 
 CDR_HEADER = b"\x00\x01\x00\x00"
 """Encapsulation header: plain CDR, little endian. The alignment of fields counts from its end."""
@@ -197,7 +201,7 @@ def layout_of(definition: str, frame_id: str) -> Layout:
     types = _types_in(definition)
     fields: list[Field] = []
     end = len(CDR_HEADER)
-    for name, kind in _flattened(types, "", ""):
+    for name, kind in _flattened(types, "", "", itertools.count(1)):
         code, alignment = _code_of(kind, frame_id)
         offset = end + (len(CDR_HEADER) - end) % alignment
         fields.append(Field(name, code, offset))
@@ -232,9 +236,14 @@ def _types_in(definition: str) -> dict[str, list[tuple[str, str]]]:
     return types
 
 
-def _flattened(types: dict[str, list[tuple[str, str]]], name: str, prefix: str) -> Iterator[tuple[str, str]]:
+def _flattened(
+    types: dict[str, list[tuple[str, str]]], name: str, prefix: str, number: Iterator[int]
+) -> Iterator[tuple[str, str]]:
+    """Yield name and type of each field, those of inner types included; ``number`` counts them."""
     for field, kind in types[name]:
+        if next(number) > MAX_FIELDS:
+            raise ValueError(f"more than {MAX_FIELDS} fields")
         if kind in types:
-            yield from _flattened(types, kind, f"{prefix}{field}.")
+            yield from _flattened(types, kind, f"{prefix}{field}.", number)
         else:
             yield prefix + field, kind

@@ -16,6 +16,8 @@ from typing import Any, Self, TypeAlias, overload
 import numpy as np
 import numpy.typing as npt
 
+from hil.recording import data_frames
+
 IntArray: TypeAlias = npt.NDArray[np.int64]
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
@@ -65,6 +67,21 @@ class Table:
         for name, column in columns:
             rows[name] = column
         return rows if dtype is None else rows.astype(dtype)
+
+    def to_pandas(self) -> Any:
+        """Return the table as a ``pandas.DataFrame``. Raises EnvironmentLackError without pandas.
+
+        The data bytes of frames become the columns ``data_0`` to ``data_7``.
+        """
+        return data_frames.to_pandas(self)
+
+    def to_polars(self) -> Any:
+        """Return the table as a ``polars.DataFrame``, as :meth:`to_pandas` does."""
+        return data_frames.to_polars(self)
+
+    def to_xarray(self) -> Any:
+        """Return the table as an ``xarray.Dataset`` along ``time_s``, as :meth:`to_pandas` does."""
+        return data_frames.to_xarray(self)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {len(self)} rows of {', '.join(self.columns)}>"

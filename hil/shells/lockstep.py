@@ -70,10 +70,16 @@ class _PunctualHost:
 
 
 class Lockstep:
-    """A bus without delay, and the common clock of gateway and boards. ``host`` may stall the gateway."""
+    """A bus without delay, and the common clock of gateway and boards. ``host`` may stall the gateway.
 
-    def __init__(self, boards: Boards, start_ns: int, host: Host | None = None) -> None:
+    Frames are stamped with the simulated time plus ``epoch_offset_ns``, as a link stamps with epoch time.
+    """
+
+    def __init__(
+        self, boards: Boards, start_ns: int, host: Host | None = None, epoch_offset_ns: int = 0
+    ) -> None:
         self._boards = boards
+        self._epoch_offset_ns = epoch_offset_ns
         self._host: Host = host or _PunctualHost()
         self._now_ns = start_ns
         self._to_boards: deque[Frame] = deque()
@@ -137,9 +143,10 @@ class Lockstep:
     def _deliver(self, gateway_side: GatewaySide, to_gateway: tuple[Frame, ...]) -> None:
         """Deliver frames in both directions until none is left."""
         now_ns, to_boards, boards, host = self._now_ns, self._to_boards, self._boards, self._host
+        epoch_ns = now_ns + self._epoch_offset_ns
         while True:
             for frame in to_gateway:
-                stamp_ns = now_ns + host.clock_offset_ns
+                stamp_ns = epoch_ns + host.clock_offset_ns
                 if now_ns < host.asleep_until_ns:
                     self._waiting.append((frame, stamp_ns))
                 else:

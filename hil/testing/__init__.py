@@ -10,6 +10,7 @@ fixture                 what the test gets
 ``make_lockstep_rig``   a function that builds such rigs
 ``gateway_alone``       the gateway core without boards: the test plays the boards
 ``boards_alone``        the simulated boards and the arm without a gateway: the test plays the master
+``inject_fault``        a function that lets a fault begin, on ``lockstep_rig`` or ``boards_alone``
 ``record_run``          a function that makes a recording in simulated time, once a session for each setting
 ``vcan_interface``      the name of the virtual CAN interface, ``vcan0``
 ``vcan_bus``            a ``can.Bus`` of python-can on it
@@ -23,6 +24,11 @@ fixture                 what the test gets
 ``vcan0`` without these fixtures has the mark ``vcan``. Where this kernel has no ``vcan0``, all tests that
 need it run through ``hil vcan``, in one process for the whole session. If that is impossible, they fail and
 say why.
+
+The fixtures return a ``hil.LockstepRig``, or a :class:`GatewayAlone`, :class:`BoardsAlone`,
+:class:`VcanBoards`, :class:`VcanGateway` or :class:`VcanRig`. A fault such as ``lose:sample,5@2`` is
+injected by their method ``inject_fault``, by their option ``faults``, or by ``boards=["--fault", …]`` on
+``vcan0``.
 
 A test that fails keeps its recording, plot and log in the folder ``hil-failures``; the report says where.
 

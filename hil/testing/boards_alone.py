@@ -26,6 +26,7 @@ class BoardsAlone:
 
     >>> boards = BoardsAlone()
     >>> boards.start_nodes()
+    []
     >>> [str(frame)[:3] for frame in boards.sync()]
     ['190']
     """

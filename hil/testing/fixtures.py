@@ -86,6 +86,17 @@ def boards_alone(request: pytest.FixtureRequest) -> BoardsAlone:
     return BoardsAlone(**_options(request, "lockstep_rig"))
 
 
+@pytest.fixture
+def inject_fault(request: pytest.FixtureRequest) -> Callable[[str], object]:
+    """Return a function that lets a fault begin now, such as ``lose:sample,5@0``.
+
+    It acts on the test's ``boards_alone`` if it uses that fixture, else on its ``lockstep_rig``.
+    """
+    name = "boards_alone" if "boards_alone" in request.fixturenames else "lockstep_rig"
+    inject: Callable[[str], object] = request.getfixturevalue(name).inject_fault
+    return inject
+
+
 @pytest.fixture(scope="session")
 def record_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Recording]:
     """Return a function that makes a recording in simulated time.

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hil.core.wire.codec import SYNC
 from hil.recording.reader import Recording
-from hil.recording.tables import AxisTable, IntArray, TimingTable
+from hil.recording.tables import AxisTable, IntArray
+from hil.views.run_columns import AxisColumns, TimingColumns, axis_columns, timing_columns
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -31,8 +31,15 @@ MAX_INITIAL_ERROR = 0.1
 """A change of the setpoint is a step only if the error before it was at most this part of its size.
 
 Otherwise the axis was still on its way to an earlier setpoint, as in a fast ladder or a random excitation,
-and the readings would mix two responses.
+and the readings would mix two responses. It must hold for every change of the run: a single one that does is
+chance.
 """
+RISE_FROM, RISE_TO = 0.1, 0.9
+"""Parts of the step's size between which the rise time is measured."""
+MAX_DELAY_S = 2.0
+"""Largest delay of the position behind the setpoint that is looked for."""
+MAX_DELAY_PERIODS = 60_000
+"""Number of periods, from the first one on, from which the delay is computed: eleven minutes."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,8 @@ class StepResponse:
     """Time from the step until the position stays within 2 % of the step's size; None if it does not."""
     steady_state_error: float
     """Mean of setpoint minus position over the last fifth of the response."""
+    rise_s: float | None
+    """Time from 10 to 90 % of the step's size; None if the position does not reach 90 %."""
     min_valve_v: float
     max_valve_v: float
 
@@ -60,6 +69,8 @@ class Tracking:
     rms_error: float
     max_error: float
     """Largest magnitude of the error."""
+    delay_s: float | None
+    """Shift of the setpoint in time for which it is closest to the position; None if it is constant."""
     min_valve_v: float
     max_valve_v: float
 
@@ -129,10 +140,10 @@ class Summary:
 
 def summarise(recording: Recording) -> Summary:
     """Sum up ``recording``. Raises RecordingError when it lacks the channels of the loop."""
-    timing = recording.timing()
+    timing = timing_columns(recording)
     counts = recording.counts
     bring_up_periods = _bring_up_periods(timing, recording.state_names)
-    axes = {name: axis_summary(recording.axis(name)) for name in recording.axes}
+    axes = {name: axis_summary(axis_columns(recording, name)) for name in recording.axes}
     ending = recording.metadata.get("ending", {})
     controlled = timing[_controlled(timing)][1:]
     dropped, unreadable, not_sent, rejected, lost, error_frames = (
@@ -148,8 +159,8 @@ def summarise(recording: Recording) -> Summary:
     )
     return Summary(
         axes={name: summary for name, summary in axes.items() if summary is not None},
-        lateness=_quantiles(timing.wake_ns - timing.deadline_ns),
-        response=_quantiles(_response_ns(timing[timing.fresh], recording.frames("sent", SYNC).time_ns)),
+        lateness=quantiles(timing.wake_ns - timing.deadline_ns),
+        response=quantiles(timing.response_ns[timing.response_ns >= 0]),
         periods=len(timing),
         bring_up_periods=bring_up_periods,
         missed_periods=int(np.sum(np.diff(timing.number) - 1)),
@@ -170,28 +181,35 @@ def summarise(recording: Recording) -> Summary:
     )
 
 
-def _bring_up_periods(timing: TimingTable, state_names: dict[int, str]) -> int:
+def losses(summary: Summary) -> list[str]:
+    """Return in words what was dropped, rejected or lost."""
+    counted = (
+        (summary.frames_dropped, "frame", "dropped on arrival"),
+        (summary.frames_unreadable, "frame", "unreadable"),
+        (summary.frames_not_sent, "frame", "not sent"),
+        (summary.frames_rejected, "frame", "rejected"),
+        (summary.samples_lost, "sample", "lost"),
+        (summary.error_frames, "error frame", "on the bus"),
+        (summary.messages_dropped, "message", "not recorded"),
+    )
+    return [f"{count} {what}{'s' * (count > 1)} {how}" for count, what, how in counted if count]
+
+
+def _bring_up_periods(timing: TimingColumns, state_names: dict[int, str]) -> int:
     """Return the number of periods before the gateway first left the state offline."""
     offline = [value for value, name in state_names.items() if name == "offline"]
     is_up = ~np.isin(timing.state, offline)
     return int(np.argmax(is_up)) if is_up.any() else len(timing)
 
 
-def _response_ns(fresh: TimingTable, sync_ns: IntArray) -> IntArray:
-    """Return the times from the last SYNC before each sample to the period's command."""
-    last = np.searchsorted(sync_ns, fresh.receive_ns, side="right") - 1
-    has_sync = last >= 0
-    return np.asarray(fresh.sent_ns[has_sync] - sync_ns[last[has_sync]], np.int64)
-
-
-def _controlled(table: AxisTable | TimingTable) -> slice:
+def _controlled(table: AxisColumns | AxisTable | TimingColumns) -> slice:
     """Return the periods from the last one before the controllers acted to the last one in which they did."""
     running = np.flatnonzero(table.running)
     return slice(max(running[0] - 1, 0), running[-1] + 1) if len(running) else slice(0)
 
 
-def axis_summary(axis: AxisTable) -> StepResponse | Tracking | None:
-    """Return the readings of the last step from rest, or else of tracking; None if nothing was controlled."""
+def axis_summary(axis: AxisColumns | AxisTable) -> StepResponse | Tracking | None:
+    """Return the figures of one axis; None if it was not controlled."""
     axis = axis[_controlled(axis)]
     if len(axis) < 2:
         return None
@@ -200,7 +218,8 @@ def axis_summary(axis: AxisTable) -> StepResponse | Tracking | None:
     step = _last_step(axis)
     if step is None:
         rms = float(np.sqrt(np.mean(controlled.error**2)))
-        return Tracking(axis.unit, rms, float(np.abs(controlled.error).max()), min_valve_v, max_valve_v)
+        largest = float(np.abs(controlled.error).max())
+        return Tracking(axis.unit, rms, largest, _delay_s(controlled), min_valve_v, max_valve_v)
     before, after = float(axis.setpoint[step - 1]), float(axis.setpoint[step])
     times_s = (axis.time_ns[step:] - axis.time_ns[step]) * 1e-9
     deviation = (axis.position[step:] - after) / (after - before)
@@ -212,13 +231,14 @@ def axis_summary(axis: AxisTable) -> StepResponse | Tracking | None:
         overshoot_percent=100.0 * max(float(deviation.max()), 0.0),
         settling_s=_settling_s(times_s, deviation),
         steady_state_error=float(np.mean(steady)),
+        rise_s=_rise_s(times_s, deviation),
         min_valve_v=min_valve_v,
         max_valve_v=max_valve_v,
     )
 
 
-def _last_step(axis: AxisTable) -> int | None:
-    """Return the row in which the setpoint last changed, or None if that change is not a step from rest.
+def _last_step(axis: AxisColumns | AxisTable) -> int | None:
+    """Return the row in which the setpoint last changed, or None if a change is not a step from rest.
 
     Row 0 is from before the controllers acted, when the setpoint follows the position. The change from there
     to the first setpoint is a step only if it is more than a deviation of the position.
@@ -229,12 +249,10 @@ def _last_step(axis: AxisTable) -> int | None:
     if len(controlled) == 0:
         starts_elsewhere = abs(setpoint[1] - setpoint[0]) > 0.1 * abs(setpoint[1]) > 0.0
         return 1 if starts_elsewhere else None
-    last = int(controlled[-1])
-    before, after = last - (controlled[-2] if len(controlled) > 1 else -np.inf), len(axis) - last
-    was_constant = min(before, after) >= MIN_CONSTANT_PERIODS
-    size = abs(setpoint[last] - setpoint[last - 1])
-    was_at_rest = abs(axis.error[last - 1]) <= MAX_INITIAL_ERROR * size
-    return last if was_constant and was_at_rest else None
+    was_constant = np.all(np.diff([*controlled, len(axis)]) >= MIN_CONSTANT_PERIODS)
+    size = np.abs(setpoint[controlled] - setpoint[controlled - 1])
+    was_at_rest = np.all(np.abs(axis.error[controlled - 1]) <= MAX_INITIAL_ERROR * size)
+    return int(controlled[-1]) if was_constant and was_at_rest else None
 
 
 def _settling_s(times_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64]) -> float | None:
@@ -245,7 +263,29 @@ def _settling_s(times_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.floa
     return float(times_s[first_inside]) if first_inside < len(times_s) else None
 
 
-def _quantiles(durations_ns: IntArray) -> Quantiles | None:
+def _rise_s(times_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64]) -> float | None:
+    reached = [np.flatnonzero(deviation >= part - 1.0) for part in (RISE_FROM, RISE_TO)]
+    if len(reached[1]) == 0:
+        return None
+    return float(times_s[reached[1][0]] - times_s[reached[0][0]])
+
+
+def _delay_s(axis: AxisColumns | AxisTable) -> float | None:
+    """Return the delay for which the mean square of position minus delayed setpoint is smallest."""
+    setpoint, position = axis.setpoint[:MAX_DELAY_PERIODS], axis.position[:MAX_DELAY_PERIODS]
+    count = len(setpoint)
+    if count < 2 or np.ptp(setpoint) == 0.0:
+        return None
+    period_s = float(np.median(np.diff(axis.time_s[:MAX_DELAY_PERIODS])))
+    largest = min(round(MAX_DELAY_S / period_s), count // 2)
+    errors = [
+        float(np.mean((position[delay:] - setpoint[: count - delay]) ** 2)) for delay in range(largest + 1)
+    ]
+    return int(np.argmin(errors)) * period_s
+
+
+def quantiles(durations_ns: IntArray) -> Quantiles | None:
+    """Return the quantiles of durations; None without one."""
     if len(durations_ns) == 0:
         return None
     values = np.percentile(durations_ns, [50.0, 99.0, 99.9, 100.0], method="inverted_cdf") * 1e-3

@@ -10,13 +10,13 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from hil.views.summary import StepResponse, Summary
+from hil.views.summary import StepResponse, Summary, losses
 
 
 def render(summary: Summary) -> RenderableType:
     """Return the summary as tables and lines of text. Tables of usual values fit into 80 columns."""
-    steps = _table("axis", "step", "overshoot", "2 %\nsettling", "steady-state\nerror", "valve")
-    tracking = _table("axis", "RMS error", "largest error", "valve")
+    steps = _table("axis", "step", "overshoot", "rise", "2 %\nsettling", "steady-state\nerror", "valve")
+    tracking = _table("axis", "RMS error", "largest error", "delay", "valve")
     for name, axis in summary.axes.items():
         unit = axis.unit
         valve = f"{axis.min_valve_v:.2f}…{axis.max_valve_v:.2f} V"
@@ -25,13 +25,15 @@ def render(summary: Summary) -> RenderableType:
                 name,
                 f"{axis.step_from:.4g}→{axis.step_to:.4g} {unit}",
                 f"{axis.overshoot_percent:.2f} %",
+                "––––" if axis.rise_s is None else f"{axis.rise_s:.2f} s",
                 "did not settle" if axis.settling_s is None else f"{axis.settling_s:.2f} s",
                 f"{1e3 * axis.steady_state_error:.2f} m{unit}",
                 valve,
             )
         else:
             rms, largest = 1e3 * axis.rms_error, 1e3 * axis.max_error
-            tracking.add_row(name, f"{rms:.2f} m{unit}", f"{largest:.2f} m{unit}", valve)
+            delay = "––––" if axis.delay_s is None else f"{1e3 * axis.delay_s:.0f} ms"
+            tracking.add_row(name, f"{rms:.2f} m{unit}", f"{largest:.2f} m{unit}", delay, valve)
     tables = [table for table in (steps, tracking) if table.row_count]
     notes = [] if summary.complete else ["The recording was cut off. The figures are those of its contents."]
     if summary.ending == "interrupted":
@@ -80,16 +82,7 @@ def _counts(summary: Summary) -> str:
 
 def _losses(summary: Summary) -> Text:
     """Return a line that highlights all losses, or states that there were none."""
-    counted = (
-        (summary.frames_dropped, "frame", "dropped on arrival"),
-        (summary.frames_unreadable, "frame", "unreadable"),
-        (summary.frames_not_sent, "frame", "not sent"),
-        (summary.frames_rejected, "frame", "rejected"),
-        (summary.samples_lost, "sample", "lost"),
-        (summary.error_frames, "error frame", "on the bus"),
-        (summary.messages_dropped, "message", "not recorded"),
-    )
-    lost = [f"{count} {what}{'s' * (count > 1)} {how}" for count, what, how in counted if count]
+    lost = losses(summary)
     if lost:
         return Text(f"ATTENTION: {', '.join(lost)}", style="bold red")
     return Text("nothing dropped, rejected or lost" if summary.complete else "")

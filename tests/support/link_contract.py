@@ -29,7 +29,8 @@ KINDS = [
     Frame(0x000, b"\r\a", is_extended=True),
     Frame(0x1FFFFFFF, DATA, is_extended=True),
     Frame(0x321, is_remote=True),
-    Frame(0x321, is_extended=True, is_remote=True),
+    Frame(0x321, bytes(8), is_remote=True),
+    Frame(0x321, bytes(3), is_extended=True, is_remote=True),
 ]
 
 

@@ -14,9 +14,22 @@ import design.margin_summary
 import firmware_sim
 import hil
 import hil.lockstep_rig
+import hil.testing
+import hil.testing.boards_alone
+import hil.testing.gateway_alone
 
 PACKAGES = (hil, firmware_sim, design)
+WITH_NAMES = (*PACKAGES, hil.testing)
 EXPORTED = {
+    "hil.testing": [
+        "BoardsAlone",
+        "GatewayAlone",
+        "VcanBoards",
+        "VcanGateway",
+        "VcanRig",
+        "assert_step_response",
+        "assert_within_limits",
+    ],
     "hil": [
         "Client",
         "ControlLaw",
@@ -38,12 +51,14 @@ EXPORTED = {
         "AdcFaults",
         "Arm",
         "DacFaults",
+        "FaultyRig",
         "LinearModel",
         "LinearPlant",
         "Plant",
         "SimulatedRig",
         "find_scenario",
         "parse_event",
+        "parse_fault",
         "read_arm",
         "read_plant_file",
         "read_scenario",
@@ -76,7 +91,7 @@ EXPORTED = {
 }
 
 
-@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+@pytest.mark.parametrize("package", WITH_NAMES, ids=lambda package: package.__name__)
 def test_each_exported_name_exists_and_is_described(package: ModuleType) -> None:
     for name in package.__all__:
         assert getattr(package, name) is not None
@@ -89,7 +104,7 @@ def test_the_exported_names_are_these(name: str) -> None:
     assert sorted(importlib.import_module(name).__all__) == EXPORTED[name]
 
 
-@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+@pytest.mark.parametrize("package", WITH_NAMES, ids=lambda package: package.__name__)
 def test_an_unknown_name_is_an_attribute_error(package: ModuleType) -> None:
     with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'nonsense'"):
         package.nonsense  # noqa: B018
@@ -111,7 +126,15 @@ def test_each_package_says_that_it_is_typed(package: ModuleType) -> None:
 
 
 @pytest.mark.parametrize(
-    "module", [*PACKAGES, hil.lockstep_rig, design.margin_summary], ids=lambda module: module.__name__
+    "module",
+    [
+        *PACKAGES,
+        hil.lockstep_rig,
+        hil.testing.boards_alone,
+        hil.testing.gateway_alone,
+        design.margin_summary,
+    ],
+    ids=lambda module: module.__name__,
 )
 def test_the_examples_in_the_docstrings_run(
     module: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -29,6 +29,7 @@ def options(*arguments: str) -> argparse.Namespace:
         ["--linear"],
         ["--seed", "7", "--scenario", "fig14", "--event", "payload:1@1", "--event", "leak:vertical,1,1e-8@2"],
         ["--arm", "my arm.toml"],
+        ["--fault", "lose:sample,5@2", "--fault", "hang:adc@vertical>0.05/0.5", "--seed", "1"],
         ["--plant", "vertical=my plant.json", "--plant", "rotation=a=b.json"],
     ],
 )
@@ -42,6 +43,7 @@ def test_options_are_the_same_after_conversion_to_arguments(given: list[str]) ->
         ([], []),
         (["--seed", "7", "--scenario", "fig13"], []),
         (["--arm", "a.toml", "--event", "payload:1@1"], ["--arm", "--event"]),
+        (["--fault", "unplug@1"], ["--fault"]),
         (["--linear", "--plant", "vertical=paper"], ["--linear", "--plant"]),
     ],
 )
@@ -65,3 +67,8 @@ def test_a_plant_without_axis_or_file_is_rejected(text: str) -> None:
 def test_an_axis_given_twice_is_rejected() -> None:
     with pytest.raises(DocumentError, match=r"--plant vertical: given twice, 'a\.json' and 'b\.json'"):
         check_plant_options(options("--plant", "vertical=a.json", "--plant", "vertical=b.json"))
+
+
+def test_a_fault_that_cannot_be_read_is_refused_before_anything_runs() -> None:
+    with pytest.raises(DocumentError, match=r"--fault 'hang:third@1': board is 'third'"):
+        check_plant_options(options("--fault", "hang:third@1"))

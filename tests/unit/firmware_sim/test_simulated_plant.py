@@ -15,11 +15,21 @@ from support.shipped_rig import RIG_TEXT, SHIPPED_RIG
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.event_text import parse_event
+from firmware_sim.faults.fault_text import fault_text
+from firmware_sim.faulty_rig import FaultyRig
 from firmware_sim.plant_options import add_plant_options
 from firmware_sim.plants.linear_model import LinearModel
 from firmware_sim.plants.linear_plant import LinearPlant
 from firmware_sim.plants.plant import Plant
-from firmware_sim.simulated_plant import build_plant, planned_events, plant_texts
+from firmware_sim.simulated_plant import (
+    build_boards,
+    build_plant,
+    planned_events,
+    planned_faults,
+    plant_texts,
+    refuse_host_faults,
+)
+from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.errors import DocumentError
 from hil.core.rig import read_rig
 
@@ -295,3 +305,43 @@ def test_a_scenario_may_not_act_on_a_linear_axis(tmp_path: Path) -> None:
     build_plant(SHIPPED_RIG, options("--plant", "horizontal=paper", "--scenario", str(path)))
     with pytest.raises(DocumentError, match=r"event 'leak:vertical,1,1e-09@0\.5' .* --plant puts"):
         build_plant(SHIPPED_RIG, options("--plant", "vertical=paper", "--scenario", str(path)))
+
+
+FAULTY_SCENARIO = """
+title = "faults"
+duration_s = 3.0
+[[faults]]
+fault = "hang"
+board = "adc"
+at_s = 2.0
+"""
+
+
+def test_faults_of_the_command_line_follow_those_of_the_scenario(tmp_path: Path) -> None:
+    (tmp_path / "faulty.toml").write_text(FAULTY_SCENARIO)
+    given = options(
+        "--scenario", str(tmp_path / "faulty.toml"), "--fault", "unplug@running", "--fault", "reset:dac@1"
+    )
+    assert [fault_text(fault) for fault in planned_faults(given)] == [
+        "hang:adc@2",
+        "unplug@running",
+        "reset:dac@1",
+    ]
+    assert planned_events(given) == {"reset:dac@1": 1.0, "hang:adc@2": 2.0}
+    facts = json.loads(plant_texts(SHIPPED_RIG, given)["plant.json"])
+    assert facts["faults"] == "hang:adc@2 unplug@running reset:dac@1"
+
+
+@pytest.mark.parametrize(("given", "kind"), [([], SimulatedRig), (["--fault", "unplug@1"], FaultyRig)])
+def test_only_a_rig_with_faults_is_wrapped(given: list[str], kind: type) -> None:
+    chosen = options("--linear", *given)
+    assert type(build_boards(SHIPPED_RIG, LinearPlant(SHIPPED_RIG), chosen)) is kind
+
+
+@pytest.mark.parametrize("fault", ["stall:0.1@1", "step-clock:5@1"])
+def test_faults_of_the_host_are_refused_in_real_time(fault: str) -> None:
+    refuse_host_faults(options("--fault", "unplug@1"))
+    with pytest.raises(
+        DocumentError, match=f"fault '{fault}' acts on the gateway's host in simulated time only"
+    ):
+        refuse_host_faults(options("--fault", fault))

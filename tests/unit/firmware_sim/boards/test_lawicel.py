@@ -15,8 +15,8 @@ short_ids, long_ids = st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF)
 any_frame = st.one_of(
     st.builds(lambda i, data: Frame(i, data), short_ids, st.binary(max_size=8)),
     st.builds(lambda i, data: Frame(i, data, is_extended=True), long_ids, st.binary(max_size=8)),
-    st.builds(lambda i: Frame(i, is_remote=True), short_ids),
-    st.builds(lambda i: Frame(i, is_extended=True, is_remote=True), long_ids),
+    st.builds(lambda i, n: Frame(i, bytes(n), is_remote=True), short_ids, st.integers(0, 8)),
+    st.builds(lambda i, n: Frame(i, bytes(n), is_extended=True, is_remote=True), long_ids, st.integers(0, 8)),
 )
 
 
@@ -39,8 +39,8 @@ def test_a_frame_survives_conversion_to_text_and_back(frame: Frame) -> None:
         (b"t10021133", Frame(0x100, b"\x11\x33")),
         (b"t1000", Frame(0x100)),
         (b"T0000010021133", Frame(0x100, b"\x11\x33", is_extended=True)),
-        (b"r1002", Frame(0x100, is_remote=True)),
-        (b"R000001008", Frame(0x100, is_extended=True, is_remote=True)),
+        (b"r1002", Frame(0x100, bytes(2), is_remote=True)),
+        (b"R000001008", Frame(0x100, bytes(8), is_extended=True, is_remote=True)),
     ],
 )
 def test_examples_of_the_manual(text: bytes, frame: Frame) -> None:

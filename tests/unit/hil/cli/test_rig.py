@@ -32,8 +32,8 @@ def test_the_protection_in_the_shipped_rig_file_is_valid_as_it_stands_there(
     rig = read_rig(uncommented(capsys.readouterr().out), "rig.toml")
     assert rig.dac.read_back
     assert (rig.dac.read_back_tolerance_v, rig.dac.read_back_periods) == (0.05, 3)
-    assert rig.emergency_stop == InputSettings(frame=0x290, byte=0, bit=0, timeout_s=0.05)
-    assert rig.enable == InputSettings(frame=0x290, byte=0, bit=1, timeout_s=0.05)
+    assert rig.emergency_stop == InputSettings(frame=0x290, byte=0, bit=0, timeout_s=0.1)
+    assert rig.enable == InputSettings(frame=0x290, byte=0, bit=1, timeout_s=0.1)
 
 
 def test_the_values_in_comments_are_the_defaults() -> None:

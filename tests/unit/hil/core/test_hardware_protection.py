@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from support.constants import CENTRED, PERIOD_NS
 from support.gateway_bench import (
@@ -29,6 +31,7 @@ from support.protected_rigs import (
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from hil.core.control_law import ControlLaw
 from hil.core.controller_file import PidLaw
+from hil.core.core_state import restore, state_of
 from hil.core.experiment import read_experiment
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
@@ -429,6 +432,43 @@ def read_back_rig(apply: str, protected: bool) -> Rig:
 
     rig = protected_rig("", read_back=True, protected=protected)
     return replace(rig, dac=replace(rig.dac, apply=apply))
+
+
+class TestState:
+    """The state of a core with protection can be written and restored (``core_state``)."""
+
+    @staticmethod
+    def copy_of(core: Gateway, rig: Rig) -> Gateway:
+        fresh = make_gateway(rig)
+        restore(fresh, json.loads(json.dumps(state_of(core), allow_nan=False)))
+        return fresh
+
+    @pytest.mark.parametrize("bits", [0, ENABLE_BIT, BOTH, None])
+    def test_a_copy_answers_as_the_original(self, bits: int | None) -> None:
+        rig = protected_rig(EMERGENCY_STOP + ENABLE, read_back=True)
+        subject = ProtectedGateway(rig)
+        subject.bring_to(LifeCycleState.ARMED)
+        subject.operate(JogRequest("vertical", 0.02, 0.5))
+        subject.periods(5)
+        twin = ProtectedGateway(rig, self.copy_of(subject.core, rig))
+        twin.now_ns, twin.counter, twin.input_counter = subject.now_ns, subject.counter, subject.input_counter
+        before = len(subject.transcript.frames)
+        for one in (subject, twin):
+            one.bits = bits
+            one.pins = (5.0, 5.0, 5.3)
+            one.periods(8)
+        assert subject.transcript.frames[before:] == twin.transcript.frames
+        assert subject.transcript.log[-len(twin.transcript.log) :] == twin.transcript.log
+        assert state_of(subject.core) == state_of(twin.core)
+
+    def test_a_copy_awaits_the_answer_of_a_board_too(self) -> None:
+        bench = TestIgnoredStart.stubborn()
+        bench.pass_to_gateway = lambda frame: () if frame.id == 0x5A0 else (frame,)
+        while not any(frame.id == 0x620 for frame in bench.transcript.frames):
+            bench.period()
+        bench.gateway = self.copy_of(bench.gateway, bench.rig)
+        bench.periods(60)
+        assert bench.gateway.readiness.endswith("no answer to SDO (1001h:0) within 500 ms")
 
 
 class TestIgnoredStart:

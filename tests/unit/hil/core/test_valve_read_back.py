@@ -144,6 +144,28 @@ def test_a_bad_frame_is_rejected_and_answers_nothing(data: bytes, said: str) -> 
     assert board.subject.problem is not None
 
 
+def test_two_answers_to_each_sync_come_from_two_boards() -> None:
+    board = Answers(protected=False)
+    for _ in range(3):
+        assert board.subject.problem in (None, NO_FRAME_YET)
+        board.answer(CENTRED)
+        board.subject.receive(read_back_frame(CENTRED, 0, False).data)
+    assert board.subject.problem == (
+        "TPDO1_DAC: more answers than SYNCs in 3 periods: another node sends the same identifier; check the "
+        "node ids"
+    )
+
+
+def test_a_frame_that_the_bus_delivers_twice_is_tolerated() -> None:
+    board = Answers()
+    for _ in range(4):
+        board.answer(CENTRED)
+        board.subject.receive(read_back_frame(CENTRED, board.counter).data)
+        for _ in range(2):
+            board.answer(CENTRED)
+    assert board.subject.problem is None
+
+
 def test_an_answer_without_sync_is_rejected() -> None:
     board = Answers(protected=False)
     board.answer(CENTRED)

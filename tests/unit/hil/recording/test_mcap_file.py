@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from support.recorded_runs import EPOCH_OFFSET_NS, PERIOD_NS, RUN_HEADER, START_NS, record_run
 
 from hil.core.errors import RecordingError
-from hil.recording import mcap_reader
+from hil.recording import mcap_chunks, mcap_reader
 
 PERIODS = 400
 TOPICS = {
@@ -209,7 +209,7 @@ def test_a_chunk_that_states_gigabytes_is_refused_without_allocating_them(tmp_pa
     data = path.read_bytes()
     header = data[data.index(ZSTD_MAGIC) :][:18]
     size = zstandard.frame_content_size(header).to_bytes(4, "little")
-    stated = (mcap_reader.MAX_CHUNK_BYTES + 1).to_bytes(4, "little")
+    stated = (mcap_chunks.MAX_CHUNK_BYTES + 1).to_bytes(4, "little")
     path.write_bytes(data.replace(header, header.replace(size, stated), 1))
-    with pytest.raises(RecordingError, match=r"it states 268435457 bytes, limit 268435456"):
+    with pytest.raises(RecordingError, match=r"it states 67108865 bytes, limit 262144"):
         mcap_reader.McapContents(path)

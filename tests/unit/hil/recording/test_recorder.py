@@ -103,6 +103,8 @@ def test_all_calls_and_answers_can_be_read_back(tmp_path: Path) -> None:
             "epoch_offset_ns": str(EPOCH_OFFSET_NS),
             "bus": "vcan0",
             "stamp_origin": "kernel",
+            "metadata names": '["recording", "run", "setpoints"]',
+            "metadata sha256": recording.metadata["recording"]["metadata sha256"],
         },
         "ending": {"reason": "link"},
         "recorder": {"messages": "10"},

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -291,6 +290,7 @@ def test_dropped_messages_end_the_entries(tmp_path: Path) -> None:
         recorder = Recorder(path, RUN_HEADER, lossless=True)
     record_periods(recorder, 100)
     recorder._sequence += 7
+    recorder._pipe.dropped.update({1: 7})
     record_periods(recorder, 100, first=100)
     recorder.close({})
     recording = Recording(path)
@@ -372,13 +372,13 @@ def test_an_intact_file_is_opened_without_decompressing_its_chunks(
     path: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     decompressed: list[int] = []
-    uncompressed = McapContents._uncompressed
+    body_of = McapContents._body_of
 
-    def note(contents: McapContents, chunk: Any) -> bytes:
-        decompressed.append(chunk.offset)
-        return uncompressed(contents, chunk)
+    def note(contents: McapContents, record: bytes) -> bytes:
+        decompressed.append(path.read_bytes().index(record))
+        return body_of(contents, record)
 
-    monkeypatch.setattr(McapContents, "_uncompressed", note)
+    monkeypatch.setattr(McapContents, "_body_of", note)
     opened = Recording(path)
     assert opened.counts == recording.counts
     assert decompressed == []

@@ -140,13 +140,19 @@ def test_gateway(gateway_alone):
     assert gateway_alone.cycles
 
 @pytest.mark.lockstep_rig(faults=["lose:sample,1@0"])
-def test_boards(boards_alone):
+def test_boards(boards_alone, inject_fault):
     assert isinstance(boards_alone, BoardsAlone)
     boards_alone.start_nodes()
     assert boards_alone.sync() == []
     boards_alone.command((6.0, 5.0, 5.0))
     assert len(boards_alone.sync()) == 1
     assert boards_alone.valve_v[0] == pytest.approx(6.0, abs=0.01)
+    inject_fault("hang:adc@0")
+    assert boards_alone.sync() == []
+
+def test_fault(inject_fault, lockstep_rig):
+    inject_fault("reset:adc@0")
+    assert lockstep_rig.state.name == "FAULT"
 
 @pytest.mark.parametrize("number", range(3))
 def test_recordings(record_run, number, request):
@@ -156,7 +162,7 @@ def test_recordings(record_run, number, request):
 """,
     )
     output, status = session("-q")
-    assert (status, "5 passed" in output) == (0, True), output
+    assert (status, "6 passed" in output) == (0, True), output
 
 
 def test_a_state_that_does_not_exist_is_an_error(folder: Path, session: Session) -> None:

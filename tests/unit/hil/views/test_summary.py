@@ -363,3 +363,40 @@ def test_an_interrupted_run_says_so_and_others_do_not(tmp_path: Path) -> None:
     assert f"interrupted after {298 * PERIOD_S:.0f} s of 600" in text
     (tmp_path / "run.mcap").unlink()
     assert "interrupted" not in summary_and_text(tmp_path, ending | {"reason": "completed"})[1]
+
+
+@pytest.mark.parametrize("tau_s", [0.1, 0.3])
+def test_a_first_order_lag_rises_in_tau_ln_9(tmp_path: Path, tau_s: float) -> None:
+    response = step_response(tmp_path, following(step(0.1, 1.0), lag(0.1, 1.0, tau_s)))
+    assert response.rise_s == pytest.approx(tau_s * math.log(9), abs=PERIOD_S)
+
+
+def test_a_response_that_stops_halfway_has_no_rise_time(tmp_path: Path) -> None:
+    response = step_response(tmp_path, following(step(0.1, 1.0), lag(0.08, 1.0, 0.1)))
+    assert response.rise_s is None
+
+
+@pytest.mark.parametrize("periods", [0, 7, 40])
+def test_the_delay_of_a_position_that_repeats_the_setpoint(tmp_path: Path, periods: int) -> None:
+    def setpoint(t: float) -> float:
+        return 0.05 * math.sin(2.0 * t) + 0.02 * math.sin(5.0 * t)
+
+    found = tracking(tmp_path, following(setpoint, lambda t: setpoint(t - periods * PERIOD_S)))
+    assert found.delay_s == pytest.approx(periods * PERIOD_S)
+
+
+def test_a_constant_setpoint_has_no_delay(tmp_path: Path) -> None:
+    assert tracking(tmp_path, following(lambda t: 0.0, lambda t: 0.001)).delay_s is None
+
+
+def test_an_excitation_whose_last_change_happens_to_be_from_rest_has_tracking_errors(tmp_path: Path) -> None:
+    """A table of levels changes while the axis is on its way, and at its end after a rest."""
+    levels = [0.05, -0.05, 0.08, 0.0, -0.03]
+
+    def setpoint(t: float) -> float:
+        return 0.0 if t < 1.0 else levels[int((t - 1.0) / 0.2)] if t < 2.0 else 0.0 if t < 3.5 else 0.1
+
+    def position(t: float) -> float:
+        return 0.5 * setpoint(t) if t < 2.0 else setpoint(t)
+
+    assert isinstance(summary_of(tmp_path, following(setpoint, position)).axes["vertical"], Tracking)

@@ -1,0 +1,85 @@
+"""Reduces the signals of a run to what a page can hold: the smallest and the largest value in each time slot.
+
+A page has the same number of slots whatever the length of the run, so that its size is bounded. A run that is
+short enough has one slot for each period, and loses nothing. Values are 16-bit numbers between the smallest
+and the largest value of the series.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+MAX_SLOTS = 20_000
+"""Largest number of time slots. An hour then has five slots a second."""
+_STEPS = 65_534
+"""Number of steps between the smallest and the largest value."""
+_EMPTY = 65_535
+"""Code of a slot without a value."""
+
+
+@dataclass(frozen=True)
+class Slots:
+    """Time slots of equal length; slot i begins at ``start_s + i length_s``."""
+
+    start_s: float
+    length_s: float
+    count: int
+
+    @staticmethod
+    def over(start_s: float, end_s: float, period_s: float, max_slots: int = MAX_SLOTS) -> Slots:
+        """Return slots for a range of time, of one period each if there are not more than ``max_slots``."""
+        span_s = max(end_s - start_s, period_s)
+        count = min(math.ceil(span_s / period_s) + 1, max_slots)
+        length_s = period_s if count < max_slots else span_s / (count - 1)
+        return Slots(start_s - length_s / 2, length_s, count)
+
+    def of(self, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+        """Return the slot of each instant; instants outside belong to the first or the last one."""
+        slots = ((time_s - self.start_s) / self.length_s).astype(np.int64)
+        return np.clip(slots, 0, self.count - 1)
+
+
+def encode(slots: Slots, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]) -> dict[str, Any]:
+    """Return a series for the page: ``low``, ``high`` and the base64 of the slots' extreme values.
+
+    ``time_s`` (n,) must ascend; values (n,) that are not finite are left out. ``max`` is None where every
+    slot has one value.
+    """
+    values = np.asarray(values, np.float64)
+    known = np.isfinite(values)
+    time_s, values = time_s[known], values[known]
+    smallest, largest = np.full(slots.count, np.nan), np.full(slots.count, np.nan)
+    if len(values):
+        slot = slots.of(time_s)
+        first = np.flatnonzero(np.diff(slot, prepend=-1))
+        smallest[slot[first]] = np.minimum.reduceat(values, first)
+        largest[slot[first]] = np.maximum.reduceat(values, first)
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
+    is_single = np.array_equal(smallest, largest, equal_nan=True)
+    return {
+        "low": low,
+        "high": high,
+        "min": _base64(smallest, low, high),
+        "max": None if is_single else _base64(largest, low, high),
+    }
+
+
+def decode(series: dict[str, Any], which: str = "min") -> npt.NDArray[np.float64]:
+    """Return the values of a series, as the script of the page does; NaN where a slot has none."""
+    codes = np.frombuffer(base64.b64decode(series[which] or series["min"]), "<u2")
+    values = series["low"] + codes * ((series["high"] - series["low"]) / _STEPS)
+    return np.where(codes == _EMPTY, np.nan, values)
+
+
+def _base64(values: npt.NDArray[np.float64], low: float, high: float) -> str:
+    scale = _STEPS / (high - low) if high > low else 0.0
+    known = np.isfinite(values)
+    codes = np.full(len(values), _EMPTY, "<u2")
+    codes[known] = np.round((values[known] - low) * scale)
+    return base64.b64encode(codes.tobytes()).decode("ascii")

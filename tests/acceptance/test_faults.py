@@ -1,0 +1,68 @@
+"""Faults as options of ``hil run``: the same bytes in every lockstep run, the same effect in real time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hil.cli import main
+from hil.recording.reader import Recording
+from hil.recording.recorder import FAULTS_BEGUN
+
+FAULTS = ["--fault", "lose:sample,20%@0.5/0.5", "--fault", "unplug@vertical>0.05"]
+SCENARIO = """
+title = "a second board and a cable that is pulled out"
+duration_s = 3.0
+[setpoints]
+vertical = "step:0.1@0.5"
+[[faults]]
+fault = "noisy sensor"
+axis = "vertical"
+rms_v = 0.002
+[[faults]]
+fault = "unplug"
+when = "vertical>0.05"
+for_s = 0.5
+"""
+
+
+def run(path: Path, *options: str) -> Recording:
+    setpoint = ["--setpoint", "vertical=step:0.1@0.5"] if "--scenario" not in options else []
+    assert main(["run", "--duration", "3", "--record", str(path), *setpoint, *options]) == 1
+    return Recording(path)
+
+
+def test_a_lockstep_run_with_faults_gives_the_same_bytes_and_a_replay(tmp_path: Path) -> None:
+    first = run(tmp_path / "a.mcap", "--lockstep", *FAULTS, "--seed", "3")
+    second = run(tmp_path / "b.mcap", "--lockstep", *FAULTS, "--seed", "3")
+    assert first.path.read_bytes() == second.path.read_bytes()
+    assert list(first.metadata[FAULTS_BEGUN].values()) == ["lose:sample,20%@0.5/0.5", "unplug@vertical>0.05"]
+    assert first.metadata["plant"]["faults"] == "lose:sample,20%@0.5/0.5 unplug@vertical>0.05"
+    assert main(["replay", str(first.path)]) == 0
+
+
+def test_faults_of_a_scenario_file_act(tmp_path: Path) -> None:
+    (tmp_path / "scenario.toml").write_text(SCENARIO)
+    recording = run(tmp_path / "run.mcap", "--lockstep", "--scenario", str(tmp_path / "scenario.toml"))
+    assert "no good sample for 5 periods" in recording.metadata["ending"]["fault"]
+    assert "unplug@vertical>0.05/0.5" in recording.metadata[FAULTS_BEGUN].values()
+
+
+def test_the_same_fault_stops_a_run_in_real_time(tmp_path: Path) -> None:
+    recording = run(tmp_path / "run.mcap", "--fault", "unplug@vertical>0.05")
+    assert "no good sample for 5 periods" in recording.metadata["ending"]["fault"]
+    assert recording.axis("vertical").position.max() < 0.07
+
+
+def test_a_fault_of_the_host_is_refused_in_real_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--record", str(tmp_path / "run.mcap"), "--fault", "stall:0.1@1"]
+    assert main(["run", *options]) == 2
+    assert "acts on the gateway's host in simulated time only" in capsys.readouterr().err
+
+
+def test_a_fault_on_a_real_bus_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--bus", "can0", "--fault", "unplug@1"]) == 2
+    assert "--fault chooses what `hil run` simulates" in capsys.readouterr().err
