@@ -1,0 +1,86 @@
+"""A daemon in a thread of this process, on simulated boards."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from pathlib import Path
+
+import pytest
+
+from hil.cli import daemon_run, main
+from hil.core.errors import OperationError, RequestRefusedError
+from hil.host.realtime_rights import Rights
+from hil.operation.client import Client, connect
+from hil.recording.reader import Recording
+from hil.shells.replay import verify
+
+TIMEOUT_S = 60.0
+
+
+class DaemonThread:
+    """``hil daemon`` in a thread without real-time rights."""
+
+    def __init__(self, path: Path, *arguments: str) -> None:
+        self.status: int | None = None
+        self.path = path
+        self._thread = threading.Thread(
+            target=self._run, args=(["daemon", "--socket", str(path), *arguments],)
+        )
+        self._thread.start()
+
+    def _run(self, argv: list[str]) -> None:
+        self.status = main(argv)
+
+    def client(self) -> Client:
+        """Connect as soon as the daemon is in state ready."""
+        while True:
+            with contextlib.suppress(OperationError):
+                client = connect(self.path)
+                if client.status().state == "ready":
+                    return client
+            assert self._thread.is_alive()
+
+    def end(self) -> int | None:
+        self._thread.join(TIMEOUT_S)
+        assert not self._thread.is_alive()
+        return self.status
+
+
+@pytest.fixture(autouse=True)
+def without_rights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(daemon_run, "real_time_rights", lambda: contextlib.nullcontext(Rights(())))
+    monkeypatch.chdir(tmp_path)
+
+
+def test_a_daemon_on_the_simulated_arm(tmp_path: Path) -> None:
+    daemon = DaemonThread(tmp_path / "s", "--record", "run.mcap")
+    with daemon.client() as client:
+        assert client.status().is_simulated
+        assert client.status().recording == "run.mcap"
+        client.arm()
+        client.start()
+        assert client.event("payload:3") == "event payload:3 happens now"
+        client.set_setpoint("vertical", 0.02)
+        client.record_new()
+        client.record_stop()
+        assert client.status().recording is None
+        client.record_new()
+        client.stop()
+        assert "closes the recording" in client.shutdown()
+    assert daemon.end() == 0
+    for name in ("run.mcap", "run-2.mcap", "run-3.mcap"):
+        assert verify(Recording(tmp_path / name)).complete
+    assert Recording(tmp_path / "run-3.mcap").metadata["ending"]["reason"] == "interrupted"
+
+
+def test_a_daemon_that_records_nothing(tmp_path: Path) -> None:
+    daemon = DaemonThread(tmp_path / "s", "--no-record", "--linear")
+    with daemon.client() as client:
+        with pytest.raises(RequestRefusedError, match="--no-record"):
+            client.record_new()
+        with pytest.raises(RequestRefusedError, match="only the simulated arm has events"):
+            client.event("payload:3")
+        client.shutdown()
+    assert daemon.end() == 0
+    assert not list(tmp_path.rglob("*.mcap"))
