@@ -6,7 +6,9 @@ reads the other formats.
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import logging
 import re
 import stat
 import sys
@@ -17,9 +19,10 @@ from importlib import reload
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from hil.conversion.blf_containers import check_containers
 from hil.conversion.frame_files import ERROR_FLAG
 from hil.conversion.optional import optional_module
-from hil.core.errors import EnvironmentLackError, RecordingError
+from hil.core.errors import HilError, RecordingError
 from hil.core.frames import Frame
 from hil.links.messages import MAX_EXTENDED_ID, MAX_STANDARD_ID, frame_of
 
@@ -118,27 +121,43 @@ def _candump_frame(identifier_text: str, data_text: str) -> Frame | None:
 
 
 def _library_frames(path: Path, kind: LogFormat) -> Iterator[LoggedFrame]:
-    import can
-
     try:
         # The readers raise errors of many types for a damaged file.
-        if kind is LogFormat.ASC:
-            reader: can.io.generic.MessageReader = can.ASCReader(path, relative_timestamp=False)
-        else:
-            reader = can.BLFReader(path) if kind is LogFormat.BLF else _mf4_reader(path)
-        with reader:
+        with _without_log("asammdf"), _reader(path, kind) as reader:
             for message in reader:
                 frame = frame_of(message)
                 if not 0 <= message.timestamp < _MAX_TIME_S:
                     raise ValueError(f"time stamp {message.timestamp} s")
                 channel = "" if message.channel is None else str(message.channel)
                 yield LoggedFrame(round(message.timestamp * 1e9), channel, frame)
-    except (GeneratorExit, EnvironmentLackError, MemoryError):
+    except (GeneratorExit, HilError, MemoryError):
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         _drop_reader(error)
         raise RecordingError(f"{path}: damaged, or not {kind.upper()}: {reason}") from None
+
+
+def _reader(path: Path, kind: LogFormat) -> can.io.generic.MessageReader:
+    import can
+
+    if kind is LogFormat.ASC:
+        return can.ASCReader(path, relative_timestamp=False)
+    if kind is LogFormat.MF4:
+        return _mf4_reader(path)
+    check_containers(path)
+    return can.BLFReader(path)
+
+
+@contextlib.contextmanager
+def _without_log(name: str) -> Iterator[None]:
+    """Disable a library's log, which would print tracebacks for a damaged file."""
+    logger = logging.getLogger(name)
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 def _mf4_reader(path: Path) -> can.io.generic.MessageReader:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import struct
 import sys
+import zlib
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -248,6 +250,22 @@ def test_mf4_without_asammdf_names_the_remedy(tmp_path: Path, monkeypatch: pytes
     log.write_bytes(b"MDF     4.10    " + bytes(100))
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with pytest.raises(EnvironmentLackError, match=r"pip install 'pneumatic-hil\[mf4\]'"):
+        imported(log)
+
+
+def test_a_container_that_inflates_to_gigabytes_is_refused(tmp_path: Path) -> None:
+    """100 kB would become 100 MB here; nothing stops a log from stating more."""
+    bomb = zlib.compress(bytes(100_000_000), 9)
+    container = struct.pack("<H6xL4x", 2, 1000) + bomb
+    log = tmp_path / "bomb.blf"
+    with can.BLFWriter(log) as writer:
+        writer.on_message_received(can.Message(timestamp=1e9, arbitration_id=0x190))
+    place = log.stat().st_size
+    place += place % 4
+    with log.open("ab") as file:
+        file.write(bytes(place - file.tell()))
+        file.write(struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16 + len(container), 10) + container)
+    with pytest.raises(RecordingError, match=r"container at byte \d+ inflates to more than the limit 32 MiB"):
         imported(log)
 
 
