@@ -235,14 +235,18 @@ def test_imported_valve_commands_count_as_sent(tmp_path: Path) -> None:
     assert back.axis("vertical").running.tolist() == [True]
 
 
-def test_mf4_is_read_also_when_python_can_was_imported_without_asammdf(
+def test_a_crash_of_the_library_is_a_damaged_file(
     run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """asammdf imports python-can, which then finds asammdf half imported."""
     log = tmp_path / "run.mf4"
     export(run, log, Format.MF4_BUS, Selection())
-    monkeypatch.setattr("can.io.mf4.asammdf", None)
-    assert imported(log)[0].received == len(run.frames("received"))
+    interpreter, crash = sys.executable, tmp_path / "crash.py"
+    crash.write_text("import os\nos.write(1, bytes(30))\nos.abort()\n")
+    monkeypatch.setattr("sys.executable", str(tmp_path / "python"))
+    (tmp_path / "python").write_text(f"#!/bin/sh\nexec {interpreter} {crash}\n")
+    (tmp_path / "python").chmod(0o755)
+    with pytest.raises(RecordingError, match="damaged, or not MF4: the library that reads it crashed"):
+        imported(log)
 
 
 def test_mf4_without_asammdf_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
