@@ -111,7 +111,8 @@ def _candump_frame(identifier_text: str, data_text: str) -> Frame | None:
     if data_text.startswith("#") or identifier > (MAX_EXTENDED_ID if is_long else MAX_STANDARD_ID):
         return None  # CAN FD, or no identifier
     if data_text.startswith("R"):
-        return Frame(identifier, b"", is_long, True, False)
+        length = int(data_text[1:] or 0)
+        return None if length > _MAX_DATA_BYTES else Frame(identifier, bytes(length), is_long, True, False)
     if len(data_text) % 2 or len(data_text) > 2 * _MAX_DATA_BYTES:
         return None
     return Frame(identifier, bytes.fromhex(data_text), is_long and not is_error, False, is_error)
