@@ -58,7 +58,7 @@ def parse_fault(text: str) -> AnyFault:
     name = match["name"]
     if name in _EVENTS:
         event = parse_event(f"{name}:{match['values']}@0")
-        return _convert({**plain, "fault": "arm", "event": msgspec.to_builtins(event)}, source)
+        return _convert({**plain, "fault": "arm", "event": msgspec.to_builtins(event)}, ArmFault, source)
     if name not in _KINDS:
         hint = did_you_mean(name, [*_KINDS, *_EVENTS])
         raise DocumentError(f"{source}: there is no fault {name!r}{hint}. {FORMS}")
@@ -69,7 +69,7 @@ def parse_fault(text: str) -> AnyFault:
         keys = ", ".join(field.name for field in fields) or "no values"
         raise DocumentError(f"{source}: {name} takes {keys}; {match['values'] or ''!r} has {len(values)}")
     plain |= {field.name: _value(value) for field, value in zip(fields, values, strict=False)}
-    return _convert({**plain, "fault": kind.__struct_config__.tag}, source)
+    return _convert({**plain, "fault": kind.__struct_config__.tag}, kind, source)
 
 
 def fault_text(fault: AnyFault) -> str:
@@ -86,8 +86,8 @@ def fault_text(fault: AnyFault) -> str:
     return f"{head}@{moment}" + ("" if for_s is None else f"/{_text(for_s)}")
 
 
-def _convert(plain: dict[str, Any], source: str) -> AnyFault:
-    fault: AnyFault = from_plain(plain, AnyFault, source)  # type: ignore[arg-type]
+def _convert(plain: dict[str, Any], kind: type[Fault], source: str) -> AnyFault:
+    fault: AnyFault = from_plain(plain, kind, source)  # type: ignore[assignment]
     return fault
 
 

@@ -47,7 +47,7 @@ def test_values_that_may_be_omitted_have_defaults() -> None:
         ("bus-off:now@1", "bus-off takes no values; 'now' has 1"),
         ("late:sample,-1@1", "delay_s"),
         ("lose:sample@1/0", "for_s"),
-        ("alter:sync@1", "frame is 'sync'"),
+        ("alter:sync@1", "frame is 'sync', but must be 'command' or 'sample'"),
         ("payload:500@1", "mass_kg"),
     ],
 )
