@@ -80,10 +80,18 @@ def fault_text(fault: AnyFault) -> str:
     if isinstance(fault, ArmFault):
         head = event_text(fault.event).partition("@")[0]
     else:
-        values = ",".join(map(_text, plain.values()))
+        values = ",".join(_values(fault, plain))
         head = kind.replace(" ", "-") + (f":{values}" if values else "")
     moment = f"{when}+{_text(at_s)}" if when and at_s else when or _text(at_s)
     return f"{head}@{moment}" + ("" if for_s is None else f"/{_text(for_s)}")
+
+
+def _values(fault: AnyFault, plain: dict[str, Any]) -> list[str]:
+    """Return the values of a fault as texts, without those at the end that have their default."""
+    fields = [field for field in msgspec.structs.fields(fault) if field.name in plain]
+    while fields and plain[fields[-1].name] == fields[-1].default:
+        del fields[-1]
+    return [_text(plain[field.name]) for field in fields]
 
 
 def _convert(plain: dict[str, Any], kind: type[Fault], source: str) -> AnyFault:
