@@ -22,6 +22,7 @@ from hil.core.suggestions import did_you_mean
 COMMANDS = {
     "run": ("hil.cli.run", "run the controllers against the rig, and record the run"),
     "collect": ("hil.cli.collect", "excite one axis and record it, as data for a plant model"),
+    "campaign": ("hil.cli.campaign", "run many cases with faults in simulated time, and judge each"),
     "replay": ("hil.cli.replay", "replay recordings, and compare the core's answers with them"),
     "export": ("hil.cli.export", "write the signals or frames of a recording for other tools"),
     "import": ("hil.cli.import_", "make a recording of a bus log: candump, ASC, BLF or MF4"),
