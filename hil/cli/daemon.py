@@ -9,11 +9,12 @@ from pathlib import Path
 from firmware_sim.plant_options import add_plant_options, check_plant_options
 from firmware_sim.simulated_plant import plant_texts
 from hil.cli.axis_values import by_axis
-from hil.cli.operate import add_socket_option
+from hil.cli.operate import add_socket_option, duration
 from hil.cli.run import chosen_bus, given_scenario, read_setup
 from hil.cli.run_parts import SIMULATED
+from hil.core.errors import DocumentError
 from hil.core.setpoints import HOLD
-from hil.host.command_parser import CommandParser
+from hil.host.command_parser import CommandParser, number
 from hil.shells.run_setup import load_rig
 
 DESCRIPTION = """\
@@ -27,6 +28,9 @@ Every axis keeps the position that it has at `hil start`, until `hil setpoint` o
 The setpoints of the rig file are for `hil run`.
 
 Under systemd (--install-unit), readiness and watchdog are reported, and the log goes to the journal."""
+
+MIN_MEGABYTES = 1.0
+"""Smallest size at which a recording goes on in another file: half a minute of three axes."""
 
 
 def parser() -> CommandParser:
@@ -52,6 +56,30 @@ def parser() -> CommandParser:
     command.add_argument(
         "--record", type=Path, metavar="FILE", help="first recording (default runs/<date>-<time>.mcap)"
     )
+    command.add_argument("--no-record", action="store_true", help="record nothing")
+    rotation = command.add_argument_group(
+        "recordings for days", "Each file is complete in itself, and `hil replay` verifies it alone."
+    )
+    rotation.add_argument(
+        "--rotate-after",
+        dest="rotate_s",
+        type=duration,
+        metavar="TIME",
+        help="begin another file after this time, such as 3600s",
+    )
+    rotation.add_argument(
+        "--rotate-at",
+        dest="rotate_bytes",
+        type=megabytes,
+        metavar="MB",
+        help="begin another file when the present one has this many megabytes",
+    )
+    rotation.add_argument(
+        "--keep",
+        type=file_count,
+        metavar="N",
+        help="keep the last N files of this daemon and remove older ones (default: remove none)",
+    )
     units = command.add_argument_group("systemd")
     units.add_argument(
         "--install-unit",
@@ -64,6 +92,22 @@ def parser() -> CommandParser:
     return command
 
 
+def megabytes(text: str) -> int:
+    """Return the bytes of a number of megabytes."""
+    value = number(text)
+    if value < MIN_MEGABYTES:
+        raise argparse.ArgumentTypeError(f"{text!r} must be {MIN_MEGABYTES:g} MB or more")
+    return round(value * 1e6)
+
+
+def file_count(text: str) -> int:
+    """Return a number of files from the text of an argument."""
+    value = number(text)
+    if value < 1 or value != round(value):
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number of files, 1 or more")
+    return round(value)
+
+
 def main(argv: list[str]) -> int:
     """Run ``hil daemon`` with ``argv``; return its exit status. Raises HilError for wrong input."""
     options = parser().parse_args(argv)
@@ -72,6 +116,10 @@ def main(argv: list[str]) -> int:
 
         return install(options.force)
     check_plant_options(options)
+    if options.no_record and (options.record or options.rotate_s or options.rotate_bytes or options.keep):
+        raise DocumentError(
+            "--no-record records nothing: omit it, or omit --record, --rotate-after, --rotate-at and --keep"
+        )
     scenario, scenario_text = given_scenario(options)
     options.setpoint = _held(options, set(scenario.setpoints) if scenario else set())
     setup = read_setup(options, scenario, scenario_text)

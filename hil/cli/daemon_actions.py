@@ -17,9 +17,9 @@ EVENT_CHECK = "firmware_sim.event_input:parse_present_event"
 """Function that checks the text of an event. The socket process imports it by this name."""
 
 
-def has_events(options: argparse.Namespace, is_simulated: bool) -> bool:
-    """Return whether events can happen: the boards simulate the arm, and no linear model."""
-    return is_simulated and not (options.linear or options.plant)
+def has_events(options: argparse.Namespace) -> bool:
+    """Return whether events can happen to simulated boards: not if a linear model replaces the arm."""
+    return not (options.linear or options.plant)
 
 
 def daemon_actions(stop: StopRequest, events: socket.socket | None) -> Mapping[type[LoopCall], Action]:

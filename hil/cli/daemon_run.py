@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import socket
 import sys
 import time
 import traceback
 
+from firmware_sim.simulated_plant import planned_events
 from hil import __version__
 from hil.cli.confirmation import protection_warnings
+from hil.cli.daemon_actions import EVENT_CHECK, daemon_actions, has_events
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
     SIMULATED,
@@ -21,19 +24,19 @@ from hil.cli.run_parts import (
     stop_on_signals,
 )
 from hil.core.output import LogEntry, Severity
-from hil.core.requests import Reply
 from hil.host.realtime_rights import real_time_rights
-from hil.links import open_link
+from hil.links import Link, open_link
 from hil.operation.pipe import Facts
-from hil.operation.protocol import ShutdownCall
 from hil.operation.socket_path import default_path, listening
 from hil.operation.socket_process import socket_process
 from hil.operation.systemd import Notifier
+from hil.recording.no_recorder import NoRecorder
 from hil.recording.recorder import Recorder
 from hil.shells.bus_guard import refuse_other_gateway
 from hil.shells.observers import Observers
 from hil.shells.operator_port import Described, OperatorPort
 from hil.shells.realtime import run
+from hil.shells.recordings import Recordings, RotationLimits
 from hil.shells.run_plan import Ending, OperatorPlan
 from hil.shells.run_setup import RIG_NAME, RunSetup
 from hil.shells.session import Session
@@ -42,6 +45,8 @@ from hil.views.log_lines import LogLines
 
 RESERVED_S = 600.0
 """Disk space for a recording of this duration must be free when the daemon starts."""
+MIN_FREE_BYTES = 1_000_000_000
+"""With less free disk space, the daemon warns."""
 
 
 def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
@@ -54,60 +59,90 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
     with stop_on_signals() as stop, contextlib.ExitStack() as stack:
         notifier = stack.enter_context(Notifier())
         listener = stack.enter_context(listening(options.socket or default_path()))
-        if is_simulated:
-            stack.enter_context(boards_process(spec, options))
+        events = _start_boards(stack, spec, options) if is_simulated else None
         link = stack.enter_context(open_link(spec))
         if not is_simulated:
             refuse_other_gateway(link, setup.rig.heartbeat_periods * setup.rig.loop.period_s)
         epoch_offset_ns = time.time_ns() - time.monotonic_ns()
-        path = recording_path(options.record, RESERVED_S, has_figure=False)
-        create_folder_of(path)
-        recorder = Recorder(
-            path,
-            run_header(setup, epoch_offset_ns, spec, link.stamp_origin, host_versions(), {}),
-            lossless=False,
-        )
+        recorder = None if options.no_record else _recorder(setup, spec, link, epoch_offset_ns, options)
+        limits = RotationLimits(options.rotate_bytes, options.rotate_s, options.keep)
+        recordings = None if recorder is None else Recordings(recorder, limits)
         log = LogLines()
         stack.callback(log.close)
-        units = {name: axis.unit for name, axis in setup.rig.axes.items()}
-        facts = Facts(__version__, bus, setup.texts[RIG_NAME])
-        pipe = stack.enter_context(socket_process(listener, facts))
-        plan = OperatorPlan()
-
-        def shut_down(session: Session, _call: ShutdownCall, asked_by: str) -> Reply:
-            session.note(LogEntry(Severity.INFO, "operator", f"{asked_by} asks: shutdown"))
-            stop.set()
-            return Reply(True, "the daemon centres the valves, closes the recording and ends")
-
+        facts = Facts(__version__, bus, setup.texts[RIG_NAME], None if events is None else EVENT_CHECK)
         port = OperatorPort(
-            pipe,
-            Described(bus, is_simulated, tuple(units.items()), setup.rig.loop.period_s, epoch_offset_ns),
-            {ShutdownCall: shut_down},
-            lambda: str(path),
+            stack.enter_context(socket_process(listener, facts)),
+            _described(setup, bus, epoch_offset_ns),
+            daemon_actions(stop, events),
+            lambda: None if recordings is None or recordings.path is None else str(recordings.path),
             time.monotonic_ns,
         )
+        plan = OperatorPlan()
         with real_time_rights() as rights:
-            gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
-            observer = Observers(port, log, WatchdogObserver(notifier))
             session = Session(
-                gateway,
+                setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns),
                 plan,
                 link.send,
                 time.monotonic_ns,
-                recorder,
-                observer,
+                recorder or NoRecorder(),
+                Observers(port, log, WatchdogObserver(notifier)),
                 setup.rig.adc.stale_after_periods,
+                recordings,
             )
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
             error = run(session, link, stop, port.serve)
         notifier.send("STOPPING=1")
-        metadata = {"rights": rights.as_metadata(), "ending": {"reason": str(plan.ending)}}
+        metadata = {"rights": rights.as_metadata(), "ending": _ending(session, link)}
         if error is not None:
             metadata["error"] = {"traceback": "".join(traceback.format_exception(error))}
-        metadata["ending"]["frames dropped by the kernel"] = dropped_by_kernel(link)
-        report = recorder.close(metadata)
-    if report.failure:
-        sys.stderr.write(f"hil daemon: the recording is incomplete: {report.failure}\n")
-    return 0 if plan.ending is Ending.INTERRUPTED and not report.failure else 1
+        failure = None if recorder is None else recorder.close(metadata).failure
+    if failure is not None:
+        sys.stderr.write(f"hil daemon: the recording is incomplete: {failure}\n")
+    return 0 if plan.ending is Ending.INTERRUPTED and failure is None else 1
+
+
+def _start_boards(
+    stack: contextlib.ExitStack, spec: str, options: argparse.Namespace
+) -> socket.socket | None:
+    """Start the simulated boards. Return the socket to their arm, or None if a linear model replaces it."""
+    if not has_events(options):
+        stack.enter_context(boards_process(spec, options))
+        return None
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.setblocking(False)
+    stack.enter_context(ours)
+    with theirs:
+        stack.enter_context(boards_process(spec, options, theirs))
+    return ours
+
+
+def _recorder(
+    setup: RunSetup, spec: str, link: Link, epoch_offset_ns: int, options: argparse.Namespace
+) -> Recorder:
+    """Begin the first recording. Raises RecordingError."""
+    path = recording_path(options.record, RESERVED_S, has_figure=False)
+    create_folder_of(path)
+    planned = planned_events(options)
+    header = run_header(setup, epoch_offset_ns, spec, link.stamp_origin, host_versions(), planned)
+    return Recorder(path, header, lossless=False, min_free_bytes=MIN_FREE_BYTES)
+
+
+def _described(setup: RunSetup, bus: str, epoch_offset_ns: int) -> Described:
+    axes = tuple((name, axis.unit) for name, axis in setup.rig.axes.items())
+    return Described(bus, bus == SIMULATED, axes, setup.rig.loop.period_s, epoch_offset_ns)
+
+
+def _ending(session: Session, link: Link) -> dict[str, str]:
+    gateway = session.gateway
+    return {
+        "reason": str(session.plan.ending),
+        "fault": gateway.fault_reason or "",
+        "readiness": gateway.readiness,
+        "missed periods": str(gateway.missed_periods),
+        "rejected frames": str(gateway.rejected_frames),
+        "lost samples": str(gateway.lost_samples),
+        "frames dropped by the kernel": dropped_by_kernel(link),
+        "frames not sent": str(link.send_failures),
+    }

@@ -1,7 +1,8 @@
 """The loop's end of the pipe to the operators: takes requests and gives replies, status and log entries.
 
-The port works once a period, after the period's command has left, and takes at most
-``MAX_REQUESTS_PER_PERIOD`` requests. It never waits. What the socket process does not take is dropped.
+The port works after a period's command has left and again shortly before the next deadline. Each time it
+takes at most ``MAX_REQUESTS_PER_TURN`` requests, so that a request takes effect within two periods. It never
+waits. What the socket process does not take is dropped.
 """
 
 from __future__ import annotations
@@ -34,8 +35,12 @@ from hil.operation.protocol import (
 )
 from hil.shells.session import Session
 
-MAX_REQUESTS_PER_PERIOD = 4
-"""Number of requests that are taken after one period."""
+MAX_REQUESTS_PER_TURN = 2
+"""Number of requests that are taken at one time, twice a period."""
+SECOND_TURN_NS = 4_100_000
+"""Time before a deadline from which on requests are taken a second time in a period."""
+MIN_IDLE_NS = 2_000_000
+"""Time that must be left until the deadline, more than the requests of one turn take."""
 STATUS_PERIODS = 9
 """Number of periods from one status to the next, about 0.1 s."""
 MAX_DROPPED_IN_ROW = 20
@@ -83,6 +88,9 @@ class OperatorPort:
         self._max_lateness_ns = 0
         self._is_due = False
         """True between the end of a period and the next call of ``serve``."""
+        self._period_ns = round(described.period_s * 1e9)
+        self._turn_ns = 0
+        """Deadline before which operators were served a second time."""
         self._is_open = True
         self._dropped_in_row = 0
         self._next_status = 0
@@ -100,8 +108,11 @@ class OperatorPort:
         self._max_lateness_ns = max(self._max_lateness_ns, cycle.wake_ns - cycle.deadline_ns)
 
     def serve(self, session: Session) -> None:
-        """Take the requests that wait, if a period has ended since the last call. Raises LinkError."""
-        if not self._is_due:
+        """Take the requests that wait, if it is time for it. Raises LinkError.
+
+        It is time once after a period's command has left, and once more shortly before the next deadline.
+        """
+        if not self._is_due and not self._is_second_turn(session):
             return
         self._is_due = False
         is_changed = self._take_requests(session)
@@ -120,10 +131,24 @@ class OperatorPort:
                 )
             )
 
+    def _is_second_turn(self, session: Session) -> bool:
+        """Return whether it is shortly before a deadline, for the first time and with enough time left.
+
+        The present period must be complete: a sample that is late must not wait for operators.
+        """
+        deadline_ns = session.gateway.next_deadline_ns
+        cycle = self._cycle
+        if deadline_ns == self._turn_ns or cycle is None or deadline_ns - cycle.deadline_ns > self._period_ns:
+            return False
+        if not MIN_IDLE_NS <= deadline_ns - self._clock_ns() <= SECOND_TURN_NS:
+            return False
+        self._turn_ns = deadline_ns
+        return True
+
     def _take_requests(self, session: Session) -> bool:
         """Take some requests. Return whether there were any."""
         replies: list[Replied] = []
-        for _ in range(MAX_REQUESTS_PER_PERIOD if self._is_open else 0):
+        for _ in range(MAX_REQUESTS_PER_TURN if self._is_open else 0):
             try:
                 data = self._pipe.recv(MAX_MESSAGE_BYTES)
             except BlockingIOError:

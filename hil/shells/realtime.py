@@ -19,6 +19,8 @@ from hil.shells.session import Session
 
 MAX_WAITING_FRAMES = 64
 """Number of waiting frames that are read before a deadline that is due is served all the same."""
+OPERATORS_TURN_NS = 4_000_000
+"""Time before each deadline at which operators are served once more. Loops with a shorter period omit it."""
 CENTRING_TIMEOUT_NS = 1_000_000_000
 """Time for which centring is tried after a failure. Then the board's watchdog has centred the valves."""
 
@@ -31,14 +33,16 @@ def run(
 ) -> Exception | None:
     """Run until the session's plan is over, the link fails, or an internal error occurs.
 
-    ``serve_operators`` is called after each frame and each deadline that was served. It must not wait.
+    ``serve_operators`` is called after each frame and each deadline that was served, and
+    ``OPERATORS_TURN_NS`` before each deadline. It must not wait.
 
     Returns the internal error, for a report, or None. It is a defect of this program or of a library.
     """
     unreadable = _UnreadableFrames(session, link)
     while not session.plan.is_over:
         try:
-            _step(session, link)
+            if serve_operators is None or not _await_operators_turn(session, link):
+                _step(session, link)
             unreadable.report()
             if serve_operators is not None:
                 serve_operators(session)
@@ -71,6 +75,15 @@ class _UnreadableFrames:
         self._next_reported = 2 * count
         text = f"{count} unreadable frames discarded so far: not classic CAN, or corrupt"
         self._session.note(LogEntry(Severity.WARNING, "link", text))
+
+
+def _await_operators_turn(session: Session, link: Link) -> bool:
+    """Take one frame that arrives before the operators' turn. Return False if it is their turn or later."""
+    remaining_ns = session.gateway.next_deadline_ns - OPERATORS_TURN_NS - monotonic_ns()
+    if remaining_ns <= 0:
+        return False
+    _receive(session, link, remaining_ns * 1e-9)
+    return True
 
 
 def _step(session: Session, link: Link) -> None:

@@ -88,9 +88,12 @@ def drive(client: Client) -> list[int]:
 
 
 def periods_to_effect(path: Path, asked_ns: list[int]) -> list[float]:
-    """Return the periods from each step's request to the first command that it changed."""
+    """Return the periods from each step's request to the first command that follows the new setpoint.
+
+    A changed setpoint begins at rest where the old one was, so that this command is near the one before.
+    """
     recording = Recording(path)
-    axis, timing = recording.axis("vertical"), recording.timing()
+    timing = recording.timing()
     steps = [
         entry
         for entry in recording.entries()
@@ -102,10 +105,8 @@ def periods_to_effect(path: Path, asked_ns: list[int]) -> list[float]:
     sent_ns = timing["sent_ns"]
     found = []
     for sent, step in zip(asked_ns, steps, strict=True):
-        after = np.flatnonzero(sent_ns > step.now_ns)
-        before = axis["setpoint"][after[0] - 1]
-        changed = after[np.flatnonzero(axis["setpoint"][after] != before)[0]]
-        found.append((sent_ns[changed] - sent) / PERIOD_NS)
+        after = np.flatnonzero((timing["wake_ns"] > step.now_ns) & timing["fresh"])
+        found.append((sent_ns[after[0]] - sent) / PERIOD_NS)
     return found
 
 

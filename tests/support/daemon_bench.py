@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import queue
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -23,11 +25,13 @@ class Daemon:
     def __init__(self, folder: Path, arguments: list[str]) -> None:
         self.socket_path = folder / "d.sock"
         self.record_path = folder / "daemon.mcap"
+        self.second_path = folder / "daemon-2.mcap"
+        """Recording after `record new`."""
         self.log_path = folder / "log"
         self._notified = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._notified.bind(str(folder / "notify"))
-        self._notified.settimeout(TIMEOUT_S)
-        self.notifications: list[str] = []
+        self._queue: queue.Queue[str] = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
         with self.log_path.open("w") as log:
             self.process = subprocess.Popen(
                 [
@@ -47,8 +51,14 @@ class Daemon:
 
     def await_notification(self, wanted: str) -> None:
         """Wait for a notification that has the line ``wanted``."""
-        while not any(wanted in text.splitlines() for text in self.notifications):
-            self.notifications.append(self._notified.recv(4096).decode())
+        while wanted not in self._queue.get(timeout=TIMEOUT_S).splitlines():
+            pass
+
+    def _read(self) -> None:
+        """Read notifications as they come, as systemd does: the kernel keeps only a few."""
+        with contextlib.suppress(OSError):
+            while data := self._notified.recv(4096):
+                self._queue.put(data.decode())
 
     def client(self) -> Client:
         return connect(self.socket_path)
@@ -68,6 +78,7 @@ class Daemon:
     def close(self) -> None:
         self.process.kill()
         self.process.wait()
+        self._notified.shutdown(socket.SHUT_RDWR)
         self._notified.close()
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hil.cli import daemon_run, main
+from hil.cli import daemon, daemon_run, main
 from hil.shells.run_setup import RunSetup
 
 
@@ -47,6 +47,23 @@ def test_a_setpoint_and_a_controller_can_be_given(started: list[tuple[RunSetup, 
     assert "arm.toml" not in setup.texts
 
 
+@pytest.mark.parametrize(
+    "arguments", [["--keep", "0"], ["--keep", "1.5"], ["--rotate-at", "0.1"], ["--rotate-after", "0s"]]
+)
+def test_wrong_limits_of_recordings_are_explained(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["daemon", *arguments])
+    assert caught.value.code == 2
+    assert f"'{arguments[1]}' must be" in capsys.readouterr().err
+
+
+def test_limits_of_recordings() -> None:
+    given = daemon.parser().parse_args(["--rotate-at", "60", "--rotate-after", "3600s", "--keep", "24"])
+    assert (given.rotate_bytes, given.rotate_s, given.keep) == (60_000_000, 3600.0, 24)
+
+
 def test_a_scenario_gives_setpoints(started: list[tuple[RunSetup, str]]) -> None:
     assert main(["daemon", "--scenario", "fig14"]) == 0
     ((setup, _),) = started
@@ -59,6 +76,7 @@ def test_a_scenario_gives_setpoints(started: list[tuple[RunSetup, str]]) -> None
         (["--rig", "nosuch.toml"], "nosuch.toml"),
         (["--bus", "vcan0", "--linear"], "--linear chooses what"),
         (["--setpoint", "elbow=hold"], "elbow"),
+        (["--no-record", "--keep", "3"], "--no-record records nothing"),
     ],
 )
 def test_wrong_arguments_have_status_2(

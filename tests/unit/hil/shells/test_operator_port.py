@@ -31,7 +31,7 @@ from hil.operation.protocol import (
 from hil.shells.observers import Observers
 from hil.shells.operator_port import (
     MAX_DROPPED_IN_ROW,
-    MAX_REQUESTS_PER_PERIOD,
+    MAX_REQUESTS_PER_TURN,
     STATUS_PERIODS,
     Action,
     Described,
@@ -51,7 +51,8 @@ class PortBench:
         self._ours = ours
         axes = tuple((name, axis.unit) for name, axis in self.run.setup.rig.axes.items())
         described = Described("can7", False, axes, 0.0112, 10**18)
-        self.port = OperatorPort(ours, described, actions, lambda: "one.mcap", lambda: 0)
+        self.port = OperatorPort(ours, described, actions, lambda: "one.mcap", lambda: self.now_ns)
+        self.now_ns = 0
         self.run.session._observer = Observers(self.port, self.run.shown)
         self.number = 0
 
@@ -139,11 +140,11 @@ def test_the_status_with_the_effect_comes_before_the_reply(bench: PortBench) -> 
 
 
 def test_a_period_takes_a_bounded_number_of_requests(bench: PortBench) -> None:
-    for _ in range(3 * MAX_REQUESTS_PER_PERIOD):
+    for _ in range(3 * MAX_REQUESTS_PER_TURN):
         bench.ask(ArmCall())
     for _ in range(3):
         bench.period()
-        assert len(bench.replies()) == MAX_REQUESTS_PER_PERIOD
+        assert len(bench.replies()) == MAX_REQUESTS_PER_TURN
     bench.period()
     assert bench.replies() == []
 
@@ -152,6 +153,21 @@ def test_nothing_is_taken_before_the_period_is_over(bench: PortBench) -> None:
     bench.ask(ArmCall())
     bench.port.serve(bench.run.session)
     assert bench.replies() == []
+
+
+@pytest.mark.parametrize(
+    ("before_ns", "is_taken"), [(6_000_000, False), (4_000_000, True), (2_000_000, True), (1_500_000, False)]
+)
+def test_requests_are_taken_again_shortly_before_the_deadline(
+    bench: PortBench, before_ns: int, is_taken: bool
+) -> None:
+    bench.ask(ArmCall())
+    bench.now_ns = bench.run.gateway.next_deadline_ns - before_ns
+    bench.port.serve(bench.run.session)
+    assert len(bench.replies()) == is_taken
+    bench.ask(ArmCall())
+    bench.port.serve(bench.run.session)
+    assert bench.replies() == [], "once before each deadline"
 
 
 def test_a_request_takes_effect_within_two_periods(bench: PortBench) -> None:
