@@ -68,7 +68,7 @@ def run_realtime(
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
             _announce(session, setup, plan.duration_s, planned)
-            error = run(session, link, stop_request)
+            error = run(session, link, stop_request, poll_ns=150_000)
         ending = _ending(plan, gateway) | {
             "frames dropped by the kernel": dropped_by_kernel(link),
             "frames unreadable": str(link.unreadable),
