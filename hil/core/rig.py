@@ -33,7 +33,7 @@ MAX_HOLD_S = 2.0
 """Longest time for which the valves may hold their last command without a new one."""
 MAX_HEARTBEAT_TIMEOUT_S = 10.0
 """Longest time for which a board without a heartbeat may count as present."""
-POLL_BEFORE_DEADLINE_S = 0.00015
+POLL_BEFORE_DEADLINE_S = 0.0002
 """Default time of polling before a deadline, in seconds. Most wake-ups with SCHED_FIFO are late by less."""
 MAX_POLL_S = 0.0005
 """Longest time for which the loop may poll before a deadline, in seconds: half of the shortest period."""
