@@ -86,7 +86,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             lambda: str(path),
             time.monotonic_ns,
         )
-        with real_time_rights() as rights:
+        with real_time_rights(setup.rig.loop.poll_before_deadline_s) as rights:
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             observer = Observers(port, log, WatchdogObserver(notifier))
             session = Session(
@@ -101,7 +101,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
-            error = run(session, link, stop, port.serve)
+            error = run(session, link, stop, port.serve, rights.poll_ns)
         notifier.send("STOPPING=1")
         metadata = {"rights": rights.as_metadata(), "ending": {"reason": str(plan.ending)}}
         if error is not None:

@@ -158,7 +158,7 @@ class Bench:
         self.poll_ns = 0
 
     def run(self) -> Recording:
-        self.error = realtime.run(self.session, self.link, self.stop, self.poll_ns)  # type: ignore[arg-type]
+        self.error = realtime.run(self.session, self.link, self.stop, poll_ns=self.poll_ns)  # type: ignore[arg-type]
         assert self._recorder.close({}).failure is None
         return Recording(self.path)
 

@@ -182,7 +182,7 @@ def test_the_picture_fits_into_80_columns(watch: BusWatch) -> None:
         "error frames 1   unreadable 4   dropped 5   lost samples 0",
         "SYNC 90/s   commands 90/s",
         "samples 90/s   counter 43",
-        "1.299 V     -0.1221 m     +0.0029 m/s   6.000 V",
+        "1.299 V     -0.1221 m     +0.0030 m/s   6.000 V",
         "out of range",
         "not in arm.dbc: 7F0 ×1",
         "last error frame 00000040#0000000000000000",
