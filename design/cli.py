@@ -73,7 +73,7 @@ def parser() -> CommandParser:
         type=Path,
         metavar="DIR",
         help="folder for the results (default: designs/NAME, NAME being the plant's name); only results for "
-        "the same plant name are replaced",
+        "the same plant name are replaced, and those that differ are kept in DIR/earlier-1, earlier-2, ...",
     )
     action = parser.add_mutually_exclusive_group()
     action.add_argument(

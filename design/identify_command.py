@@ -6,11 +6,13 @@ import argparse
 import math
 import os
 import shlex
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from hil.core.errors import DocumentError
+from hil.core.suggestions import did_you_mean
 from hil.host.command_parser import CommandParser, number
 
 if TYPE_CHECKING:
@@ -35,6 +37,24 @@ Records: recordings of `hil collect` or `hil run` (.mcap), or tables (.csv, .mat
 time_s,u,y. A missing row or an empty cell is a gap.
 """
 COLUMNS = "time_s,u,y"
+LABEL_COLUMNS = 12
+"""Width of the labels in front of the printed lines."""
+UNITS = {
+    "m": ("metre", "metres", "meter", "meters", "mtr"),
+    "rad": ("radian", "radians", "rads", "r"),
+}
+"""Units of y, and words that mean them."""
+CONVERSIONS = {
+    "mm": "1 mm = 0.001 m",
+    "cm": "1 cm = 0.01 m",
+    "inch": "1 inch = 0.0254 m",
+    "in": "1 inch = 0.0254 m",
+    "deg": "1 degree = 0.0174533 rad",
+    "degree": "1 degree = 0.0174533 rad",
+    "degrees": "1 degree = 0.0174533 rad",
+    "°": "1 degree = 0.0174533 rad",
+}
+"""Units that a plant file cannot have, and how to convert them."""
 
 
 def parser() -> CommandParser:
@@ -64,7 +84,9 @@ def parser() -> CommandParser:
         action="store_true",
         help="in gaps of a table, the actuator kept its last input (default: the input there is unknown)",
     )
-    command.add_argument("--unit", choices=("m", "rad"), help="unit of y in a table (default m)")
+    command.add_argument(
+        "--unit", type=_unit_of_y, metavar="UNIT", help="unit of y in a table: m (default) or rad"
+    )
     command.add_argument("--name", metavar="NAME", help="name of the plant (default: the axis)")
     command.add_argument("-o", "--output", type=Path, metavar="FILE", help="plant file")
     command.add_argument("--report", type=Path, metavar="HTML", help="report (default: beside it)")
@@ -142,6 +164,16 @@ def _read(options: argparse.Namespace) -> tuple[list[Record], list[Record]]:
     return sides[0], sides[1]
 
 
+def _unit_of_y(text: str) -> str:
+    """Return the unit of y from an argument."""
+    if text in UNITS:
+        return text
+    meant = next((unit for unit, words in UNITS.items() if text.lower() in words), None)
+    hint = did_you_mean(text, UNITS) if meant is None else f"; did you mean {meant}?"
+    factor = f"; convert y: {CONVERSIONS[text.lower()]}" if text.lower() in CONVERSIONS else ""
+    raise argparse.ArgumentTypeError(f"{text!r} must be m or rad{factor or hint}")
+
+
 def _unit(records: list[Record], given: str | None) -> Literal["m", "rad"]:
     """Return the unit of y. Raises DocumentError where the records contradict each other."""
     units = {record.unit for record in records if record.unit}
@@ -208,7 +240,21 @@ def print_identification(
         console.print(f"{label:11} {text}")
     for finding in identification.findings:
         style = {"refuse": "red", "warn": "yellow"}.get(finding.severity)
-        console.print(f"{finding.severity:11} {finding}", style=style)
+        console.print(labelled(finding.severity, str(finding), console.width), style=style)
+
+
+def labelled(label: str, text: str, width: int) -> str:
+    """Return a text behind its label, filled to ``width`` columns; further lines are indented."""
+    indent = " " * LABEL_COLUMNS
+    first = f"{label:{LABEL_COLUMNS - 1}} "
+    return textwrap.fill(
+        text,
+        width,
+        initial_indent=first,
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def model_lines(identification: Identification, unit: str) -> list[tuple[str, str]]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.core.errors import DocumentError
+from hil.core.suggestions import did_you_mean
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def load_plant(path: str | os.PathLike[str], folder: Path = Path()) -> Plant:
     if not file.exists():
         raise DocumentError(
             f"plant {name!r}: there is no file {file}, and no shipped plant of this name; shipped are "
-            + ", ".join(shipped_plants())
+            f"{', '.join(shipped_plants())}{did_you_mean(name, shipped_plants())}"
         )
     return read_plant(read_text(file), name)
 

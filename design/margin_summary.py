@@ -20,11 +20,18 @@ class LoopMargins:
     stable: bool
     """Whether all closed-loop poles lie inside the unit circle."""
     stability_margin: float
-    """Normalised coprime margin of plant and controller, 0 if unstable (``ncfmargin``; W1 = 1)."""
+    """Normalised coprime margin of plant and controller, 0 if unstable (``ncfmargin``).
+
+    This is not the eps that ``hil design`` prints: that one is the margin of the shaped plant W1 G with the
+    controller K/W1. The two are equal for W1 = 1 only. This one depends on the units of plant and controller.
+    """
     gain_margin: float
-    """Smallest factor over 1 on the loop gain that makes the loop unstable; infinite if there is none."""
+    """Smallest factor over 1 on the loop gain that makes the loop unstable; infinite if there is none.
+
+    ``hil design`` prints it in dB: 20 log10 of this factor.
+    """
     phase_margin_rad: float
-    """Smallest phase lag in rad that makes the loop unstable."""
+    """Smallest phase lag in rad that makes the loop unstable. ``hil design`` prints it in degrees."""
     crossover_rad_s: float
     """Frequency in rad/s at which the loop gain falls through 1."""
 

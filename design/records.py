@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.identification.checks.expectations import Expectations
+from design.identification.checks.unit_checks import check_units
 from design.identification.findings import Finding
 from design.identification.records.experiment import Experiment, Names
 from design.identification.records.time_stamps import from_time_stamps
@@ -44,6 +45,8 @@ COLUMNS = ("time_s", "u", "y")
 MAX_LATENESS = 0.1
 """Share of a period by which SYNC may be late. A later sample is off the grid and does not count."""
 MAX_CSV_BYTES = 500_000_000
+SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars"}
+"""Characters that separate the columns of tables which are no CSV files, and their names."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,8 @@ def read_record(
         input_held_in_gaps=input_held_in_gaps,
     )
     expected = Expectations(sample_time_s=sample_time_s)
-    return Record(gridded.experiment, unit, "", gridded.findings, expected, {}, _digest(path))
+    findings = (*gridded.findings, *check_units(gridded.experiment))
+    return Record(gridded.experiment, unit, "", findings, expected, {}, _digest(path))
 
 
 # Recordings
@@ -251,6 +255,7 @@ def _csv_columns(
     if header is None:
         raise DocumentError(f"{path}: the file is empty")
     names = [cell.strip() for cell in header]
+    _check_separator(path, names)
     places = _places(path, names, columns, sample_time_s)
     values: list[list[float]] = [[] for _ in places]
     for row in rows:
@@ -265,6 +270,16 @@ def _csv_columns(
                     f"{path}: line {rows.line_num}: {names[place]} is {cell!r}, not a number"
                 ) from None
     return _with_time(path, [np.array(column) for column in values], sample_time_s)
+
+
+def _check_separator(path: Path, names: list[str]) -> None:
+    """Refuse a header that other characters than commas separate. Raises DocumentError."""
+    for separator, name in SEPARATORS.items():
+        if len(names) == 1 and separator in names[0]:
+            raise DocumentError(
+                f"{path}: the columns are separated by {name}, not by commas: {names[0]!r}. Write the file "
+                "with commas between the columns and points in the numbers"
+            )
 
 
 def _mat(path: Path, columns: tuple[str, str, str], sample_time_s: float | None) -> Columns:

@@ -127,7 +127,7 @@ def _tune(options: argparse.Namespace) -> int:
     for attempt in range(1, tuning.MAX_VERIFICATIONS + 1):
         with progress_bars() as on_progress:
             design, requirements = tuning.design(job, models, say, on_progress, settling_s)
-        written = write_design(design, directory / "design")
+        written = write_design(design, directory / "design", keeps_earlier=False)
         if written.controller is None:
             raise HilError(
                 f"no controller was written: its loop is unstable on the rig; see {written.report}"

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
+import numpy as np
 
 from design.errors import InfeasibleError
 from design.output.tuning_results import Condition as Condition
@@ -40,6 +41,8 @@ from hil.host.text_file import read_text
 if TYPE_CHECKING:
     from design.synthesis.design_file import DesignFile
     from design.synthesis.procedure import Design, OnProgress
+    from hil.recording.tables import AxisTable
+    from hil.views.summary import StepResponse, Tracking
 
 ESTIMATION_SEED, VALIDATION_SEED = 1, 2
 SETTLING_FACTOR = 1.5
@@ -298,7 +301,7 @@ def verify(
 ) -> list[Verified]:
     """Step the axis with the new controller under every condition, and compare with the specifications."""
     from hil.recording import open_recording
-    from hil.views.summary import StepResponse, summarise
+    from hil.views.summary import StepResponse
 
     found = []
     for model in models:
@@ -317,11 +320,21 @@ def verify(
             low, high = condition.centre - half, condition.centre + half
             setpoint.write_text(step_setpoint(start, low, high, settling_s), encoding="utf-8")
             run_experiment(path, step_command(job, condition, controller, setpoint, settling_s))
-        measured = summarise(open_recording(path)).axes[job.axis]
+        measured = last_step(open_recording(path).axis(job.axis))
         if not isinstance(measured, StepResponse):
             raise HilError(f"{path}: no step response of {job.axis} can be read from it")
         found.append(Verified(condition, path, measured, failures(measured, requirements)))
     return found
+
+
+def last_step(table: AxisTable) -> StepResponse | Tracking | None:
+    """Return the readings of the last change of the setpoint, without the path that leads to it."""
+    from hil.views.summary import axis_summary
+
+    controlled = table[table.running]
+    changes = np.flatnonzero(np.diff(controlled.setpoint)) + 1
+    begins = int(changes[-2]) if len(changes) > 1 else 0
+    return axis_summary(controlled[begins:])
 
 
 def default_design() -> DesignFile:

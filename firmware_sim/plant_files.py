@@ -11,6 +11,7 @@ from firmware_sim.plants.linear_model import LinearModel
 from firmware_sim.plants.plant_file import check_plant_fits, read_plant_file
 from hil.core.errors import DocumentError
 from hil.core.rig import Rig
+from hil.core.suggestions import did_you_mean
 from hil.host.text_file import read_text
 
 
@@ -32,7 +33,10 @@ def read_axis_plants(rig: Rig, named: Mapping[str, str]) -> dict[str, AxisPlant]
     plants = {}
     for axis, name in named.items():
         if axis not in rig.axes:
-            raise DocumentError(f"--plant {axis}={name}: no such axis; the rig has {', '.join(rig.axes)}")
+            raise DocumentError(
+                f"--plant {axis}={name}: no such axis; the rig has {', '.join(rig.axes)}"
+                f"{did_you_mean(axis, rig.axes)}"
+            )
         path = _find(axis, name)
         text = read_text(path)
         plant = read_plant_file(text, str(path))
@@ -50,7 +54,9 @@ def _find(axis: str, name: str) -> Path:
             if shipped
             else "no plants are installed with design"
         )
-        raise DocumentError(f"--plant {axis}={name}: no file {path}, and {known}")
+        raise DocumentError(
+            f"--plant {axis}={name}: no file {path}, and {known}{did_you_mean(name, shipped)}"
+        )
     return path
 
 

@@ -27,6 +27,7 @@ from firmware_sim.arm.events import AnyEvent
 from firmware_sim.faults.kinds import AnyFault
 from hil.core.documents import Document, from_toml
 from hil.core.errors import DocumentError
+from hil.core.suggestions import did_you_mean
 
 SHIPPED = Path(__file__).parent / "scenarios"
 
@@ -57,7 +58,10 @@ def check_axes(scenario: Scenario, axes: Iterable[str], source: str) -> None:
     for key in ("setpoints", "controllers", "figure_axes"):
         for name in getattr(scenario, key):
             if name not in known:
-                raise DocumentError(f"{source}: {key}: no axis {name!r}; the rig has {', '.join(known)}")
+                raise DocumentError(
+                    f"{source}: {key}: no axis {name!r}; the rig has {', '.join(known)}"
+                    f"{did_you_mean(name, known)}"
+                )
 
 
 def find_scenario(name: str) -> Path:
@@ -67,6 +71,7 @@ def find_scenario(name: str) -> Path:
     if not path.is_file():
         raise DocumentError(
             f"--scenario {name}: no such file, and not one of the shipped {', '.join(shipped)}"
+            f"{did_you_mean(name, shipped)}"
         )
     return path
 

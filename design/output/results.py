@@ -41,6 +41,8 @@ class WrittenDesign:
     controller: Path | None
     """Controller file of the designed controller; None if its loop is unstable on the rig."""
     recommendation: Recommendation
+    earlier: Path | None = None
+    """Folder that different results of an earlier design were moved to; None if there were none."""
 
 
 def design_folder(directory: Path, plant: Plant) -> ResultsFolder:
@@ -53,12 +55,15 @@ def paper_folder(directory: Path) -> ResultsFolder:
     return ResultsFolder(directory, PAPER_TITLE, _NAMES)
 
 
-def write_design(design: Design, directory: Path, measured: ModelFit | None = None) -> WrittenDesign:
+def write_design(
+    design: Design, directory: Path, measured: ModelFit | None = None, *, keeps_earlier: bool = True
+) -> WrittenDesign:
     """Write report, figures and controller files into a folder, which is made if it does not exist.
 
     ``measured`` is a record of the plant, which the report shows beside the model. Results of an earlier
-    design for the same plant name are replaced. Raises HilError if the folder holds anything else, or cannot
-    be written.
+    design for the same plant name are replaced; with ``keeps_earlier``, those that differ are moved into a
+    folder ``earlier-1``, ``earlier-2``, ... beside them. Raises HilError if the folder holds anything else,
+    or cannot be written.
     """
     folder = design_folder(directory, design.plant)
     folder.check()
@@ -66,9 +71,10 @@ def write_design(design: Design, directory: Path, measured: ModelFit | None = No
     figures = design_figures(design, measured)
     report = render(design, figures, recommendation, title=folder.title, measured=measured)
     controllers = controller_files(design)
-    folder.replace({REPORT: report} | _svg_files(figures) | controllers)
+    texts = {REPORT: report} | _svg_files(figures) | controllers
+    earlier = folder.replace(texts, keeps_earlier=keeps_earlier)
     controller = directory / DESIGNED_FILE if DESIGNED_FILE in controllers else None
-    return WrittenDesign(directory / REPORT, controller, recommendation)
+    return WrittenDesign(directory / REPORT, controller, recommendation, earlier)
 
 
 def write_reproduction(reproduction: Reproduction, directory: Path) -> Path:

@@ -96,6 +96,8 @@ def _print_recommendation(console: Console, design: Design, recommendation: Reco
 
 def _print_files(console: Console, design: Design, written: WrittenDesign, plant_file: Path | None) -> None:
     print_wrapped(console, "")
+    if written.earlier is not None:
+        print_wrapped(console, f"earlier     results of another design were moved to {written.earlier}")
     print_wrapped(console, f"report      {written.report}")
     if written.controller is not None:
         print_wrapped(console, f"controller  {written.controller}")

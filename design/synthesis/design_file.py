@@ -30,6 +30,7 @@ from design.synthesis.structures import (
 )
 from hil.core.documents import Document, from_toml
 from hil.core.errors import DocumentError
+from hil.core.suggestions import did_you_mean
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -74,8 +75,10 @@ class Specifications(Document, frozen=True):
     """Specifications of eq. (9) and others, named as in ``specifications.QUANTITIES``; None: no limit."""
 
     overshoot: NonNegative | None = None
+    """Share of the step, not per cent."""
     settling_s: Positive | None = None
     error: NonNegative | None = None
+    """Share of the step, not per cent."""
     bandwidth_rad_s: Positive | None = None
     gain_db: GainBelow | None = None
     rise_s: Positive | None = None
@@ -222,8 +225,9 @@ class DesignFile(Document, frozen=True):
         if ":" in name:
             return own_structure(name, self.loop.period_s)
         raise DocumentError(
-            f"controller structure {name!r}: not one of {', '.join([*STRUCTURES, 'free'])}; "
-            'name a class of your own as "file.py:Class" or "module:Class"'
+            f"controller structure {name!r}: not one of {', '.join([*STRUCTURES, 'free'])}"
+            f"{did_you_mean(name, [*STRUCTURES, 'free']) or '.'} Name a class of your own as "
+            '"file.py:Class" or "module:Class"'
         )
 
     def _searcher(self, dimensions: int, evaluations: int, chromosomes: int) -> Searcher:
@@ -232,6 +236,17 @@ class DesignFile(Document, frozen=True):
             generations = max(evaluations // chromosomes, 1)
             return GeneticAlgorithm(dimensions, seed=seed, population=chromosomes, generations=generations)
         return DifferentialEvolution(dimensions, seed=seed, evaluations=evaluations)
+
+
+def _refuse_percentages(specifications: Specifications, source: str) -> None:
+    """Raise DocumentError for a share of the step over 1, which is a percentage by mistake."""
+    for key in ("overshoot", "error"):
+        value = getattr(specifications, key)
+        if value is not None and value > 1.0:
+            raise DocumentError(
+                f"{source}: specifications.{key} is {value:g}, limit 1: it is a share of the step, not per "
+                f"cent; for {value:g} %, write {0.01 * value:g}"
+            )
 
 
 def read_design(text: str, source: str) -> DesignFile:
@@ -249,6 +264,7 @@ def read_design(text: str, source: str) -> DesignFile:
             f"{source}: specifications: none is given; without one, the weight of largest margin leaves the "
             "plant alone. Give at least one limit, such as bandwidth_rad_s"
         )
+    _refuse_percentages(design.specifications, source)
     if design.weight.b is not None and design.weight.structure != "integral":
         raise DocumentError(
             f'{source}: weight.b: only the structure "integral" has it, and weight.structure is '

@@ -18,7 +18,11 @@ def read_arm(text: str, source: str) -> ArmParameters:
     Raises DocumentError, with key, value and limit, for values that are physically impossible or cannot be
     simulated.
     """
-    arm = from_toml(text, ArmParameters, source)
+    return check_arm(from_toml(text, ArmParameters, source), source)
+
+
+def check_arm(arm: ArmParameters, source: str) -> ArmParameters:
+    """Check an arm against what is physically possible, and return it. Raises DocumentError."""
     _check_reach(arm, source)
     for name, axis, travel, mass_kg in zip(AXES, arm.ordered, arm.travel, arm.min_masses_kg, strict=True):
         where = f"{source}: axes.{name}"

@@ -15,9 +15,10 @@ import msgspec
 from firmware_sim.arm.events import AnyEvent, Event
 from hil.core.documents import from_plain
 from hil.core.errors import DocumentError
+from hil.core.suggestions import did_you_mean
 
 FORMS: Final = (
-    "payload:KG@S, supply-pressure:KPA@S, temperature:CELSIUS@S, friction:AXIS,FACTOR@S, "
+    "payload:KG@S, supply-pressure:GAUGE_KPA@S, temperature:CELSIUS@S, friction:AXIS,FACTOR@S, "
     "leak:AXIS,CHAMBER,M3_S_PA@S, stuck-spool:AXIS@S, broken-wire:AXIS@S, emergency-stop:pressed@S, "
     "enable-switch:released@S (emergency-stop:released@S and enable-switch:held@S close the contacts, "
     "stuck-spool:AXIS,false@S frees the spool, broken-wire:AXIS,false@S repairs the wire)"
@@ -36,7 +37,9 @@ def parse_event(text: str) -> AnyEvent:
     source = f"--event {text!r}"
     match = _FORM.fullmatch(text)
     if match is None or match["name"] not in _KINDS:
-        raise DocumentError(f"{source}: not an event; the forms are: {FORMS}")
+        name = text.partition(":")[0]
+        hint = "" if name in _KINDS else did_you_mean(name, _KINDS)
+        raise DocumentError(f"{source}: not an event{f'{hint} The' if hint else '; the'} forms are: {FORMS}")
     kind = _KINDS[match["name"]]
     fields = [field for field in msgspec.structs.fields(kind) if field.name != "at_s"]
     values = match["values"].split(",")

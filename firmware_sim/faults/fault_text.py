@@ -58,7 +58,7 @@ def parse_fault(text: str) -> AnyFault:
     name = match["name"]
     if name in _EVENTS:
         event = parse_event(f"{name}:{match['values']}@0")
-        return _convert({**plain, "fault": "arm", "event": msgspec.to_builtins(event)}, source)
+        return _convert({**plain, "fault": "arm", "event": msgspec.to_builtins(event)}, ArmFault, source)
     if name not in _KINDS:
         hint = did_you_mean(name, [*_KINDS, *_EVENTS])
         raise DocumentError(f"{source}: there is no fault {name!r}{hint}. {FORMS}")
@@ -69,7 +69,7 @@ def parse_fault(text: str) -> AnyFault:
         keys = ", ".join(field.name for field in fields) or "no values"
         raise DocumentError(f"{source}: {name} takes {keys}; {match['values'] or ''!r} has {len(values)}")
     plain |= {field.name: _value(value) for field, value in zip(fields, values, strict=False)}
-    return _convert({**plain, "fault": kind.__struct_config__.tag}, source)
+    return _convert({**plain, "fault": kind.__struct_config__.tag}, kind, source)
 
 
 def fault_text(fault: AnyFault) -> str:
@@ -80,14 +80,22 @@ def fault_text(fault: AnyFault) -> str:
     if isinstance(fault, ArmFault):
         head = event_text(fault.event).partition("@")[0]
     else:
-        values = ",".join(map(_text, plain.values()))
+        values = ",".join(_values(fault, plain))
         head = kind.replace(" ", "-") + (f":{values}" if values else "")
     moment = f"{when}+{_text(at_s)}" if when and at_s else when or _text(at_s)
     return f"{head}@{moment}" + ("" if for_s is None else f"/{_text(for_s)}")
 
 
-def _convert(plain: dict[str, Any], source: str) -> AnyFault:
-    fault: AnyFault = from_plain(plain, AnyFault, source)  # type: ignore[arg-type]
+def _values(fault: AnyFault, plain: dict[str, Any]) -> list[str]:
+    """Return the values of a fault as texts, without those at the end that have their default."""
+    fields = [field for field in msgspec.structs.fields(fault) if field.name in plain]
+    while fields and plain[fields[-1].name] == fields[-1].default:
+        del fields[-1]
+    return [_text(plain[field.name]) for field in fields]
+
+
+def _convert(plain: dict[str, Any], kind: type[Fault], source: str) -> AnyFault:
+    fault: AnyFault = from_plain(plain, kind, source)  # type: ignore[assignment]
     return fault
 
 

@@ -45,7 +45,10 @@ FRAME_IDS: Final = {
     "adc-emergency": EMERGENCY_ID + ADC_NODE,
     "dac-emergency": EMERGENCY_ID + DAC_NODE,
 }
-"""CAN identifier of each frame that a fault can name."""
+"""CAN identifier of each frame that a fault can name.
+
+``inputs`` are the digital inputs of the ADC board, ``read-back`` the voltages that the DAC board reports.
+"""
 
 FrameName = Literal[
     "sample",

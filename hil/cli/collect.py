@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 
 from firmware_sim.plant_options import add_plant_options, check_plant_options
 from firmware_sim.simulated_plant import plant_texts
@@ -26,8 +27,8 @@ from hil.cli.run_parts import SIMULATED
 from hil.core.documents import to_json
 from hil.core.errors import DocumentError, HilError
 from hil.core.excitation import KINDS, Signal, read_table, samples
+from hil.core.experiment import MAX_PAUSE_S, Experiment, Origins, check_experiment
 from hil.core.experiment import NAME as EXPERIMENT_NAME
-from hil.core.experiment import Experiment, read_experiment
 from hil.core.phase import Phase
 from hil.core.rig import Rig
 from hil.core.setpoints import HOLD
@@ -41,12 +42,13 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hil.recording.recorder import RecorderReport
+    from hil.recording.tables import BoolArray, IntArray
 
 DESCRIPTION = """\
 Excite one axis and record it, as data for `hil identify`. The axis is first brought to its centre by its
 controller, and the valve voltage at which it stands still is measured. The other axes are held where they
 are. Exit status: 0 if the whole excitation was given and recorded, 1 if not, 2 if the arguments or files are
-wrong."""
+wrong, 130 if it was interrupted: then the recording is incomplete."""
 EPILOG = """\
 excitations, with the options that belong to each:
   prbs       --amplitude --duration --clock --levels --seed   pseudo-random sequence of 2, 3, 5 or 7 levels
@@ -84,7 +86,9 @@ class Collected:
     excited: int
     """Samples under excitation."""
     gaps: int
-    """Periods under excitation without a good sample."""
+    """Periods under excitation without a good sample: none came, or the sample guard rejected it."""
+    rejected: int
+    """Frames that the gateway rejected in the whole run, as sample or otherwise."""
     lowest: float
     """Lowest position of the whole experiment in the axis' unit, with the paths to and from the centre."""
     highest: float
@@ -156,7 +160,7 @@ def main(argv: list[str]) -> int:
     check_plant_options(options)
     console = Console(highlight=False, soft_wrap=True, markup=False)
     rig = load_rig(options.rig)
-    experiment = read_experiment(to_json(_experiment(options, rig)), rig)
+    experiment = _experiment(options, rig)
     setup = _setup(options, rig, experiment)
     bus = chosen_bus(options, setup)
     period_s = rig.loop.period_s
@@ -178,6 +182,9 @@ def main(argv: list[str]) -> int:
     console.print(f"recording   {report.path}")
     if report.failure:
         console.print(f"The recording is incomplete: {report.failure}", style="red")
+    if plan.ending is Ending.INTERRUPTED:
+        console.print("Interrupted: the excitation was not given completely.", style="red")
+        return 130
     if plan.ending is not Ending.COMPLETED or not collected.is_complete:
         console.print(f"The excitation was not given completely: {_reason(plan, collected)}.", style="red")
         return 1
@@ -206,13 +213,20 @@ def read_collected(path: Path, experiment: Experiment) -> Collected:
     ending = recording.metadata.get("ending", {})
     return Collected(
         excited=int((excited & axis["fresh"]).sum()),
-        gaps=int((excited & ~axis["fresh"]).sum()),
+        gaps=_gaps(recording.timing().number, excited, axis["fresh"]),
+        rejected=int(ending.get("rejected frames", "0")),
         lowest=float(position.min()) if len(position) else float("nan"),
         highest=float(position.max()) if len(position) else float("nan"),
         fence_crossings=int(ending.get("fence crossings", "0")),
         offset_v=float(ending.get("valve offset, V", "0")),
         is_complete=ending.get("experiment", "") == "complete",
     )
+
+
+def _gaps(number: IntArray, excited: BoolArray, fresh: BoolArray) -> int:
+    """Count periods under excitation without a good sample, with those that the gateway missed altogether."""
+    missed = (np.diff(number) - 1)[excited[:-1] & excited[1:]]
+    return int(np.count_nonzero(excited & ~fresh) + missed.sum())
 
 
 def _experiment(options: argparse.Namespace, rig: Rig) -> Experiment:
@@ -222,7 +236,9 @@ def _experiment(options: argparse.Namespace, rig: Rig) -> Experiment:
             f"--axis {options.axis}: the axes of the rig are {', '.join(rig.axes)}"
             f"{did_you_mean(options.axis, rig.axes)}"
         )
-    return Experiment(
+    if not 0.0 < options.settle <= MAX_PAUSE_S:
+        raise DocumentError(f"--settle {options.settle:g}: must be over 0 s and at most {MAX_PAUSE_S:g} s")
+    experiment = Experiment(
         format="hil-experiment",
         version=1,
         axis=options.axis,
@@ -231,6 +247,10 @@ def _experiment(options: argparse.Namespace, rig: Rig) -> Experiment:
         centre=options.centre,
         settle_s=options.settle,
     )
+    kind = options.excitation.partition(":")[0]
+    signal = f"--excitation {options.excitation}" if kind == "csv" else "--amplitude"
+    check_experiment(experiment, rig, Origins("--axis", "--centre", signal))
+    return experiment
 
 
 def _signal(options: argparse.Namespace) -> Signal:
@@ -348,7 +368,15 @@ def _print_collected(console: Console, collected: Collected, experiment: Experim
         console.print(
             f"offset      {collected.offset_v:+.3f} V about {centre_v:g} V: with it the axis stands still"
         )
-    console.print(f"samples     {collected.excited} excited, {collected.gaps} periods without a sample")
+    console.print(_samples_text(collected))
+
+
+def _samples_text(collected: Collected) -> str:
+    """Return how many samples were excited, and what was lost of them."""
+    text = f"samples     {collected.excited} excited, {collected.gaps} periods without a good sample"
+    if not collected.rejected:
+        return text
+    return f"{text}; {collected.rejected} frames rejected in the whole run (see the log in the recording)"
 
 
 def _travel_text(collected: Collected, experiment: Experiment, rig: Rig) -> tuple[str, bool]:

@@ -78,7 +78,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             time.monotonic_ns,
         )
         plan = OperatorPlan()
-        with real_time_rights() as rights:
+        with real_time_rights(setup.rig.loop.poll_before_deadline_s) as rights:
             session = Session(
                 setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns),
                 plan,
@@ -92,7 +92,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
-            error = run(session, link, stop, port.serve)
+            error = run(session, link, stop, port.serve, rights.poll_ns)
         notifier.send("STOPPING=1")
         metadata = {"rights": rights.as_metadata(), "ending": _ending(session, link)}
         if error is not None:

@@ -78,9 +78,7 @@ def main(argv: list[str]) -> int:
     path = options.output or default_output(options.recording, file_format)
     check_output(path, force=options.force)
     recording = open_recording(options.recording)
-    time_s = recording.timing().time_s
-    duration_s = float(time_s[-1]) if len(time_s) else 0.0
-    with FileProgress("export", duration_s) as progress:
+    with FileProgress("export", recording.duration_s) as progress:
         written = export(recording, path, file_format, selection, force=options.force, watch=progress)
     sys.stdout.write(f"{path}: {written.length} {written.unit}\n")
     return 0

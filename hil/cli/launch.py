@@ -60,7 +60,7 @@ def run_realtime(
         recorder = Recorder(path, header, lossless=False)
         display = LiveDisplay(axes)
         stack.callback(display.close)
-        with real_time_rights() as rights:
+        with real_time_rights(setup.rig.loop.poll_before_deadline_s) as rights:
             most_refused = setup.rig.adc.stale_after_periods
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display, most_refused)
@@ -68,7 +68,7 @@ def run_realtime(
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
             _announce(session, setup, plan.duration_s, planned)
-            error = run(session, link, stop_request)
+            error = run(session, link, stop_request, poll_ns=rights.poll_ns)
         ending = _ending(plan, gateway) | {
             "frames dropped by the kernel": dropped_by_kernel(link),
             "frames unreadable": str(link.unreadable),

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from hil.conversion.output_file import check_output, new_file
-from hil.core.errors import DocumentError
+from hil.core.errors import DocumentError, RecordingError
 from hil.recording import open_recording
 from hil.shells.controller_comparison import Comparison, compare
 from hil.shells.run_setup import load_controller
@@ -26,6 +26,10 @@ def replay_with_controller(path: Path, options: argparse.Namespace) -> int:
     check_output(output, force=options.force)
     chosen = _by_axis(options.with_controller)
     recording = open_recording(path)
+    if "imported" in recording.metadata:
+        raise RecordingError(
+            f"{path}: was imported from a bus log, which has no setpoints, so no controller can be run on it"
+        )
     comparisons = [
         compare(recording, axis, load_controller(name), f"--with-controller {axis}={name}")
         for axis, name in chosen.items()

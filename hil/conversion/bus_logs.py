@@ -6,35 +6,33 @@ reads the other formats.
 
 from __future__ import annotations
 
-import gc
 import re
 import stat
+import subprocess
 import sys
-import traceback
+import tempfile
 from collections.abc import Iterator
 from enum import StrEnum
-from importlib import reload
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from hil.conversion import mf4_process
+from hil.conversion.blf_containers import check_containers
 from hil.conversion.frame_files import ERROR_FLAG
 from hil.conversion.optional import optional_module
-from hil.core.errors import EnvironmentLackError, RecordingError
+from hil.core.errors import RecordingError
 from hil.core.frames import Frame
 from hil.links.messages import MAX_EXTENDED_ID, MAX_STANDARD_ID, frame_of
 
-if TYPE_CHECKING:
-    import can
-
 MAX_LINE_CHARACTERS = 1000
 """Longest line of a candump log. A frame has 60 characters."""
-_MAX_TIME_S = 2**31
-"""Largest time stamp in seconds: what a recording can hold, January 2038."""
 _LINE = re.compile(
     r"\((\d{1,12})\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(#[0-9A-Fa-f]*|R\d*|[0-9A-Fa-f]*)"
     r"(?:\s+[RT])?\s*"
 )
 _MAX_DATA_BYTES = 8
+_RECORDS_AT_ONCE = 4096
 
 
 class LogFormat(StrEnum):
@@ -86,7 +84,9 @@ def log_format(path: Path) -> LogFormat:
 
 def logged_frames(path: Path, kind: LogFormat) -> Iterator[LoggedFrame]:
     """Yield the frames of a log in its order. Raises RecordingError where the log is damaged."""
-    return _candump_frames(path) if kind is LogFormat.CANDUMP else _library_frames(path, kind)
+    if kind is LogFormat.CANDUMP:
+        return _candump_frames(path)
+    return _mf4_frames(path) if kind is LogFormat.MF4 else _library_frames(path, kind)
 
 
 def _candump_frames(path: Path) -> Iterator[LoggedFrame]:
@@ -97,7 +97,7 @@ def _candump_frames(path: Path) -> Iterator[LoggedFrame]:
             if not line.strip():
                 continue
             match = None if len(line) == MAX_LINE_CHARACTERS else _LINE.fullmatch(line.rstrip("\n"))
-            if match is None or int(match[1]) >= _MAX_TIME_S:
+            if match is None or int(match[1]) >= mf4_process.MAX_TIME_S:
                 shown = line.strip()[:60]
                 raise RecordingError(f"{path}: line {number} is not of the format of `candump -L`: {shown!r}")
             time_ns = int(match[1]) * 1_000_000_000 + int(match[2].ljust(9, "0"))
@@ -111,7 +111,8 @@ def _candump_frame(identifier_text: str, data_text: str) -> Frame | None:
     if data_text.startswith("#") or identifier > (MAX_EXTENDED_ID if is_long else MAX_STANDARD_ID):
         return None  # CAN FD, or no identifier
     if data_text.startswith("R"):
-        return Frame(identifier, b"", is_long, True, False)
+        length = int(data_text[1:] or 0)
+        return None if length > _MAX_DATA_BYTES else Frame(identifier, bytes(length), is_long, True, False)
     if len(data_text) % 2 or len(data_text) > 2 * _MAX_DATA_BYTES:
         return None
     return Frame(identifier, bytes.fromhex(data_text), is_long and not is_error, False, is_error)
@@ -122,43 +123,57 @@ def _library_frames(path: Path, kind: LogFormat) -> Iterator[LoggedFrame]:
 
     try:
         # The readers raise errors of many types for a damaged file.
-        if kind is LogFormat.ASC:
-            reader: can.io.generic.MessageReader = can.ASCReader(path, relative_timestamp=False)
+        if kind is LogFormat.BLF:
+            check_containers(path)
+            reader: can.io.generic.MessageReader = can.BLFReader(path)
         else:
-            reader = can.BLFReader(path) if kind is LogFormat.BLF else _mf4_reader(path)
+            reader = can.ASCReader(path, relative_timestamp=False)
         with reader:
             for message in reader:
-                frame = frame_of(message)
-                if not 0 <= message.timestamp < _MAX_TIME_S:
+                if not 0 <= message.timestamp < mf4_process.MAX_TIME_S:
                     raise ValueError(f"time stamp {message.timestamp} s")
                 channel = "" if message.channel is None else str(message.channel)
-                yield LoggedFrame(round(message.timestamp * 1e9), channel, frame)
-    except (GeneratorExit, EnvironmentLackError, MemoryError):
+                yield LoggedFrame(round(message.timestamp * 1e9), channel, frame_of(message))
+    except (GeneratorExit, RecordingError, MemoryError):
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        _drop_reader(error)
         raise RecordingError(f"{path}: damaged, or not {kind.upper()}: {reason}") from None
 
 
-def _mf4_reader(path: Path) -> can.io.generic.MessageReader:
-    """Open an MF4 file. Raises EnvironmentLackError without asammdf."""
-    from can.io import mf4
+def _mf4_frames(path: Path) -> Iterator[LoggedFrame]:
+    """Read an MF4 file in a process of its own; :mod:`hil.conversion.mf4_process` says why."""
+    if find_spec("asammdf") is None:
+        optional_module("asammdf", "mf4", "reading MF4")
+    # -P: modules in the working directory are not imported.
+    command = [sys.executable, "-P", "-m", mf4_process.__name__, str(path.absolute())]
+    with (
+        tempfile.TemporaryFile() as errors,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors) as reader,
+    ):
+        assert reader.stdout is not None
+        try:
+            while records := reader.stdout.read(mf4_process.RECORD.size * _RECORDS_AT_ONCE):
+                whole = len(records) - len(records) % mf4_process.RECORD.size  # it may end within a record
+                yield from map(_mf4_frame, mf4_process.RECORD.iter_unpack(records[:whole]))
+        except BaseException:
+            reader.kill()
+            raise
+        status = reader.wait()
+        if status != 0:
+            errors.seek(0)
+            lines = errors.read().decode(errors="replace").splitlines()
+            reason = lines[-1] if lines and status > 0 else "the library that reads it crashed"
+            raise RecordingError(f"{path}: damaged, or not MF4: {reason}")
 
-    optional_module("asammdf", "mf4", "reading MF4")
-    # asammdf imports python-can, which then finds asammdf half imported and takes it for missing.
-    if getattr(mf4, "asammdf", None) is None:
-        reload(mf4)
-    return mf4.MF4Reader(path)
 
-
-def _drop_reader(error: Exception) -> None:
-    """Free the reader that failed: asammdf prints a traceback when a file that it could not open is freed."""
-    hook = sys.unraisablehook
-    sys.unraisablehook = lambda _unraisable: None
-    try:
-        traceback.clear_frames(error.__traceback__)
-        error.__traceback__ = error.__context__ = error.__cause__ = None
-        gc.collect()
-    finally:
-        sys.unraisablehook = hook
+def _mf4_frame(values: tuple[int, int, int, int, int, bytes]) -> LoggedFrame:
+    time_ns, bus, flags, identifier, length, data = values
+    frame = Frame(
+        identifier,
+        data[:length],
+        bool(flags & mf4_process.EXTENDED),
+        bool(flags & mf4_process.REMOTE),
+        bool(flags & mf4_process.ERROR),
+    )
+    return LoggedFrame(time_ns, str(bus), None if flags & mf4_process.UNREADABLE else frame)

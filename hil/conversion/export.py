@@ -96,14 +96,13 @@ def _write_signals(
 
 
 def _nothing_selected(recording: Recording, selection: Selection, unit: str) -> str:
-    time_s = recording.timing().time_s
-    if len(time_s) == 0 or (selection.from_s is None and selection.to_s is None):
+    if selection.from_s is None and selection.to_s is None:
         return f"{recording.path}: has no {unit}, so there is nothing to export"
     begin = "the begin" if selection.from_s is None else f"{selection.from_s:g} s"
     end = "the end" if selection.to_s is None else f"{selection.to_s:g} s"
     return (
-        f"{recording.path}: has no {unit} from {begin} to {end}; its periods are from 0 to "
-        f"{time_s[-1]:.3f} s; choose --from and --to within them"
+        f"{recording.path}: has no {unit} from {begin} to {end}; it lasts from 0 to "
+        f"{recording.duration_s:.3f} s; choose --from and --to within them"
     )
 
 

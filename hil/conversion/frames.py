@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.conversion.signals import Selection, parts, selected
+from hil.conversion.signals import Selection, parts
 from hil.core.frames import Frame
 from hil.recording.reader import Recording
 from hil.recording.tables import FrameTable
@@ -66,17 +66,14 @@ _ROW = np.dtype(
 def frame_rows(recording: Recording, selection: Selection) -> Iterator[npt.NDArray[Any]]:
     """Yield the frames of :func:`bus_frames` as structured arrays."""
     for part in parts(recording, selection):
-        sent = _rows(part.frames("sent"), False, recording.epoch_offset_ns, selection)
-        received = _rows(part.frames("received"), True, recording.epoch_offset_ns, selection)
+        sent = _rows(part.frames("sent"), False, recording.epoch_offset_ns)
+        received = _rows(part.frames("received"), True, recording.epoch_offset_ns)
         rows = np.concatenate((sent, received))
         priority = np.concatenate((_largest_so_far(sent), _largest_so_far(received)))
         yield rows[np.lexsort((priority, rows["epoch_ns"]))]
 
 
-def _rows(
-    table: FrameTable, is_received: bool, epoch_offset_ns: int, selection: Selection
-) -> npt.NDArray[Any]:
-    table = table[selected(table.time_s, selection)]
+def _rows(table: FrameTable, is_received: bool, epoch_offset_ns: int) -> npt.NDArray[Any]:
     rows = np.empty(len(table), _ROW)
     rows["epoch_ns"] = table.time_ns + epoch_offset_ns
     rows["is_received"] = is_received

@@ -12,6 +12,9 @@ import numpy as np
 from hil.conversion.optional import optional_module
 from hil.conversion.signals import Block, Column
 
+_CSV_ROWS = 4096
+"""Number of rows that are converted to text at a time."""
+
 
 def write_csv(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) -> int:
     """Write a CSV with a header line, and return the number of rows.
@@ -23,9 +26,11 @@ def write_csv(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) ->
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(column.name for column in columns) + "\n")
         for block in blocks:
-            texts = [_texts(block[column.name]) for column in columns]
-            file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
-            rows += len(texts[0])
+            length = len(block["time_s"])
+            for start in range(0, length, _CSV_ROWS):
+                texts = [_texts(block[column.name][start : start + _CSV_ROWS]) for column in columns]
+                file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+            rows += length
     return rows
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -16,8 +17,10 @@ from hil.recording.tables import AxisTable
 Block: TypeAlias = dict[str, npt.NDArray[Any]]
 """Consecutive rows: an array for each column, by the column's name."""
 
+PART_S = 600.0
+"""Time of the recording that is read at once: 54,000 periods of 0.0112 s."""
 BLOCK_ROWS = 65_536
-"""Number of rows in a block: 12 minutes of a loop of 0.0112 s."""
+"""Largest number of resampled rows in a block."""
 
 _COMMON = (
     ("time_s", "s", "float64"),
@@ -100,24 +103,20 @@ def _recorded_blocks(recording: Recording, selection: Selection) -> Iterator[Blo
     columns = columns_of(recording, selection)
     for part in parts(recording, selection):
         tables = _same_periods([part.axis(name) for name in names])
-        chosen = selected(tables[0].time_s, selection)
-        if chosen.any():
-            yield _block([table[chosen] for table in tables], columns, recording.epoch_offset_ns)
+        if len(tables[0]):
+            yield _block(tables, columns, recording.epoch_offset_ns)
 
 
 def parts(recording: Recording, selection: Selection) -> Iterator[Recording]:
-    """Yield the recording in consecutive ranges of time that cover the selection."""
-    yield recording
-
-
-def selected(time_s: npt.NDArray[np.float64], selection: Selection) -> npt.NDArray[np.bool_]:
-    """Return True for each row whose time is in the selection."""
-    chosen = np.ones(len(time_s), np.bool_)
-    if selection.from_s is not None:
-        chosen &= time_s >= selection.from_s
-    if selection.to_s is not None:
-        chosen &= time_s < selection.to_s
-    return chosen
+    """Yield the selected time of the recording in ranges of :data:`PART_S`, to be read one at a time."""
+    begin_s = 0.0 if selection.from_s is None else selection.from_s
+    end_s = recording.duration_s if selection.to_s is None else min(selection.to_s, recording.duration_s)
+    count = max(math.ceil((end_s - begin_s) / PART_S), 1)
+    for number in range(count):
+        yield recording.between(
+            begin_s + number * PART_S if number else selection.from_s,
+            begin_s + (number + 1) * PART_S if number < count - 1 else selection.to_s,
+        )
 
 
 def _same_periods(tables: Sequence[AxisTable]) -> list[AxisTable]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -13,7 +13,9 @@ from hil.core.excitation import MAX_SAMPLES, Signal, samples
 from hil.core.rig import Rig
 
 NAME = "experiment.json"
-Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=600.0)]
+MAX_PAUSE_S = 600.0
+"""Longest path to the centre, and longest rest there, in s."""
+Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=MAX_PAUSE_S)]
 
 
 class Experiment(Document, frozen=True):
@@ -38,27 +40,46 @@ class Experiment(Document, frozen=True):
         return pauses + len(samples(self.signal, period_s)) * period_s
 
 
+class Origins(NamedTuple):
+    """Where the values of an experiment were given, for errors."""
+
+    axis: str = f"{NAME}: axis"
+    centre: str = f"{NAME}: centre"
+    signal: str = f"{NAME}: signal"
+
+
+IN_DOCUMENT = Origins()
+"""Origins of an experiment that was read from its document."""
+
+
 def read_experiment(text: str, rig: Rig) -> Experiment:
     """Read and check the text of ``experiment.json`` for a rig. Raises DocumentError naming key and limit."""
     experiment = from_json(text, Experiment, NAME)
-    if experiment.axis not in rig.axes:
-        raise DocumentError(f"{NAME}: axis: {experiment.axis!r} is none of {', '.join(rig.axes)} (rig: axes)")
-    _check_centre(experiment, rig)
-    _check_amplitude(experiment, rig)
+    check_experiment(experiment, rig)
     return experiment
 
 
-def _check_centre(experiment: Experiment, rig: Rig) -> None:
+def check_experiment(experiment: Experiment, rig: Rig, origins: Origins = IN_DOCUMENT) -> None:
+    """Check that an experiment fits a rig. Raises DocumentError naming origin, value and limit."""
+    if experiment.axis not in rig.axes:
+        raise DocumentError(
+            f"{origins.axis}: {experiment.axis!r} is none of {', '.join(rig.axes)} (rig: axes)"
+        )
+    _check_centre(experiment, rig, origins.centre)
+    _check_amplitude(experiment, rig, origins.signal)
+
+
+def _check_centre(experiment: Experiment, rig: Rig, origin: str) -> None:
     axis = rig.axes[experiment.axis]
     low, high = axis.fence_limits
     if not low < experiment.centre < high:
         raise DocumentError(
-            f"{NAME}: centre: {experiment.centre:g} {axis.unit} is not inside the travel fence, {low:g} to "
+            f"{origin}: {experiment.centre:g} {axis.unit} is not inside the travel fence, {low:g} to "
             f"{high:g} {axis.unit} (rig: axes.{experiment.axis}.fence_min_y, fence_max_y)"
         )
 
 
-def _check_amplitude(experiment: Experiment, rig: Rig) -> None:
+def _check_amplitude(experiment: Experiment, rig: Rig, origin: str) -> None:
     axis = rig.axes[experiment.axis]
     if experiment.mode == "setpoint":
         low, high = axis.fence_limits
@@ -70,6 +91,6 @@ def _check_amplitude(experiment: Experiment, rig: Rig) -> None:
     peak = float(np.max(np.abs(samples(experiment.signal, rig.loop.period_s))))
     if not peak <= limit:
         raise DocumentError(
-            f"{NAME}: the excitation reaches {peak:g} {unit}, limit {limit:g} {unit} "
+            f"{origin}: the excitation reaches {peak:g} {unit}, limit {limit:g} {unit} "
             f"(rig: axes.{experiment.axis}.{keys}); reduce its amplitude"
         )

@@ -33,6 +33,10 @@ MAX_HOLD_S = 2.0
 """Longest time for which the valves may hold their last command without a new one."""
 MAX_HEARTBEAT_TIMEOUT_S = 10.0
 """Longest time for which a board without a heartbeat may count as present."""
+POLL_BEFORE_DEADLINE_S = 0.0002
+"""Default time of polling before a deadline, in seconds. Most wake-ups with SCHED_FIFO are late by less."""
+MAX_POLL_S = 0.0005
+"""Longest time for which the loop may poll before a deadline, in seconds: half of the shortest period."""
 CHANNELS = 3
 """Analogue channels of each board."""
 
@@ -47,6 +51,11 @@ class LoopSettings(Document, frozen=True):
     """The control loop. ``period_s`` is the sample time of every controller, in seconds."""
 
     period_s: Annotated[float, msgspec.Meta(ge=0.001, le=1.0)]
+    poll_before_deadline_s: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_POLL_S)] = POLL_BEFORE_DEADLINE_S
+    """Time in seconds for which the loop polls before each deadline instead of sleeping; 0 turns it off.
+
+    It then wakes up by so much earlier. The loop polls only with SCHED_FIFO and more than one processor.
+    """
 
     @property
     def period_ns(self) -> int:

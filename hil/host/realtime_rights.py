@@ -1,9 +1,9 @@
 """Request the real-time rights for the calling thread, report what was granted, and restore everything.
 
-The rights are SCHED_FIFO, locked memory, a fixed processor, no timer slack, no deep processor sleep, and a
-garbage collector that is frozen and off. Linux refuses real-time priority to most sessions. A refusal is no
-error, but it is reported, so that a loop without a right does not look like a loop that has it.
-``hil doctor`` says how to obtain a refused right.
+The rights are SCHED_FIFO, locked memory, a fixed processor, no timer slack, no deep processor sleep, a
+garbage collector that is frozen and off, and polling before each deadline. Linux refuses real-time priority
+to most sessions. A refusal is no error, but it is reported, so that a loop without a right does not look like
+a loop that has it. ``hil doctor`` says how to obtain a refused right.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import gc
 import os
 import resource
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -48,6 +49,9 @@ class Right(NamedTuple):
 class Rights(tuple[Right, ...]):
     """All rights that were requested, in the order of the requests."""
 
+    poll_ns: int = 0
+    """Time before each deadline in which the loop may poll instead of sleeping, in nanoseconds."""
+
     def __str__(self) -> str:
         """Return one line: what was granted, and what was refused and why."""
         granted = ", ".join(f"{right.name} ({right.detail})" for right in self if right.is_granted)
@@ -62,13 +66,19 @@ class Rights(tuple[Right, ...]):
 
 
 @contextlib.contextmanager
-def real_time_rights() -> Iterator[Rights]:
+def real_time_rights(poll_before_deadline_s: float = 0.0) -> Iterator[Rights]:
     """Request every right for the calling thread, and restore the former state at the end.
 
-    A refusal raises no error.
+    ``poll_before_deadline_s`` is the time for which the loop wants to poll before each deadline, in seconds;
+    0 means not at all. A refusal raises no error.
     """
+    processors = len(os.sched_getaffinity(0))
     with contextlib.ExitStack() as restore:
-        yield Rights(_request(name, request, restore) for name, request in _REQUESTS.items())
+        granted = [_request(name, request, restore) for name, request in _REQUESTS.items()]
+        polling = _request("polling", partial(_allow_polling, poll_before_deadline_s, processors), restore)
+        rights = Rights([*granted, polling])
+        rights.poll_ns = round(poll_before_deadline_s * 1e9) if polling.is_granted else 0
+        yield rights
 
 
 def _request(name: str, request: Request, restore: contextlib.ExitStack) -> Right:
@@ -133,11 +143,30 @@ def _take_processor(restore: contextlib.ExitStack) -> str:
     """
     before = os.sched_getaffinity(0)
     chosen = max(_isolated_processors() & before, default=max(before))
-    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_FIFO:
+    if not _is_fifo():
         raise OSError(0, "not useful without SCHED_FIFO")
     os.sched_setaffinity(0, {chosen})
     restore.callback(os.sched_setaffinity, 0, before)
     return f"number {chosen} of {len(before)}"
+
+
+def _allow_polling(wanted_s: float, processors: int, _restore: contextlib.ExitStack) -> str:
+    """Allow polling if it gains something and leaves a processor to other threads.
+
+    Without SCHED_FIFO, another thread may run at the deadline all the same. On a single processor, polling
+    would take time from the boards, the recorder and the kernel.
+    """
+    if wanted_s <= 0:
+        raise OSError(0, "turned off (rig: loop.poll_before_deadline_s)")
+    if not _is_fifo():
+        raise OSError(0, "not useful without SCHED_FIFO")
+    if processors < 2:
+        raise OSError(0, "needs more than one processor")
+    return f"{1e6 * wanted_s:g} us before each deadline"
+
+
+def _is_fifo() -> bool:
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
 
 
 _REQUESTS: Final[dict[str, Request]] = {

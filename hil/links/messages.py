@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 MAX_STANDARD_ID: Final = 0x7FF
 MAX_EXTENDED_ID: Final = 0x1FFF_FFFF
-_MAX_DATA_BYTES: Final = 8
+MAX_DATA_BYTES: Final = 8
 _MAX_STAMP_S: Final = 1e12
 """Largest distance of a time stamp from 1970, in seconds. Infinity and NaN are excluded with it."""
 
@@ -27,9 +27,9 @@ def frame_of(message: can.Message) -> Frame | None:
         not message.is_fd
         and isinstance(identifier, int)
         and 0 <= identifier <= (MAX_EXTENDED_ID if is_long else MAX_STANDARD_ID)
-        and len(data) <= _MAX_DATA_BYTES
+        and len(data) <= MAX_DATA_BYTES
         and isinstance(message.dlc, int)
-        and (0 <= message.dlc <= _MAX_DATA_BYTES if message.is_remote_frame else len(data) == message.dlc)
+        and (0 <= message.dlc <= MAX_DATA_BYTES if message.is_remote_frame else len(data) == message.dlc)
         and isinstance(message.timestamp, int | float)
         and abs(message.timestamp) < _MAX_STAMP_S
     ):

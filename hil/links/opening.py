@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from hil.core.errors import LinkError
 from hil.links.failures import cause_of, creation, failure
+from hil.links.ports import MessagePort, Port
 from hil.links.sockets import prepare
 
 if TYPE_CHECKING:
     import can
+
+    from hil.links.socket_ports import SocketBus
 
 Origin = Literal["hardware", "kernel", "user"]
 """Clock of a time stamp.
@@ -35,28 +38,34 @@ _DEFAULT_BAUD: Final = 115_200
 _PORTS: Final = range(1024, 65536)
 
 
-def open_bus(spec: str) -> tuple[can.BusABC, Origin]:
+def open_port(spec: str) -> tuple[Port, Origin]:
     """Open the bus that ``spec`` names; return it with the clock of its time stamps. Raises LinkError."""
     import logging
 
     logging.getLogger("can").addHandler(logging.NullHandler())  # failures are reported by LinkError alone
+    name = os.urandom(8).hex()  # marks own frames, which some buses deliver too
     scheme, colon, rest = spec.partition(":")
     if not colon:
         scheme, rest = "socketcan", spec
     if scheme == "socketcan" and re.fullmatch(r"[\w.-]{1,15}", rest, re.ASCII):
-        return _open_socketcan(spec, rest), "kernel"
+        from hil.links.socket_ports import CanSocketPort
+
+        return CanSocketPort(_open_socketcan(spec, rest)), "kernel"
     if scheme == "slcan" and (match := re.fullmatch(r"(/[^@]+)(?:@(\d{4,7}))?", rest)):
-        return _open_slcan(spec, match[1], int(match[2] or _DEFAULT_BAUD)), "user"
+        return MessagePort(_open_slcan(spec, match[1], int(match[2] or _DEFAULT_BAUD)), name), "user"
     if scheme == "udp" and re.fullmatch(r"\d{1,9}", rest, re.ASCII) and int(rest) in _PORTS:
-        return _open_udp(spec, int(rest)), "kernel"
+        from hil.links.host_multicast import GROUP
+        from hil.links.socket_ports import MulticastPort
+
+        return MulticastPort(_open_udp(spec, int(rest)), (GROUP, int(rest)), name), "kernel"
     if scheme == "inproc" and rest:
         from hil.links.in_process import InProcessBus
 
-        return InProcessBus(rest), "user"
+        return MessagePort(InProcessBus(rest), name), "user"
     raise LinkError(f"{spec!r} names no bus. Use one of these forms:\n{BUS_FORMS}")
 
 
-def _open_socketcan(spec: str, interface: str) -> can.BusABC:
+def _open_socketcan(spec: str, interface: str) -> SocketBus:
     try:
         socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
@@ -82,7 +91,7 @@ def _open_socketcan(spec: str, interface: str) -> can.BusABC:
     return bus
 
 
-def _open_udp(spec: str, port: int) -> can.BusABC:
+def _open_udp(spec: str, port: int) -> SocketBus:
     from can import CanError
 
     from hil.links.host_multicast import HostMulticastBus

@@ -168,9 +168,10 @@ def _axis_decoder(name: str, definition: str, epoch_offset_ns: int) -> Decoder:
     axis = _unpacker(definition)
 
     def decode(message: Message) -> AxisRecorded:
-        _, seconds, nanoseconds, _, *signals, state, fresh = axis(message.payload)
-        wake_ns = seconds * _SECOND_NS + nanoseconds - epoch_offset_ns
-        return AxisRecorded(message.now_ns, name, wake_ns, AxisSignals(*signals), state, fresh)
+        values = axis(message.payload)
+        wake_ns = values[1] * _SECOND_NS + values[2] - epoch_offset_ns
+        signals = AxisSignals._make(values[4:-2])
+        return AxisRecorded(message.now_ns, name, wake_ns, signals, values[-2], values[-1])
 
     return decode
 
@@ -181,7 +182,7 @@ def _unpacker(definition: str, frame_id: str = "") -> Callable[[bytes], tuple[An
 
 
 def _frame(values: tuple[Any, ...]) -> Frame:
-    *_, identifier, is_remote, is_extended, is_error, length, data = values
+    identifier, is_remote, is_extended, is_error, length, data = values[-6:]
     return Frame(identifier, data[:length], is_extended, is_remote, is_error)
 
 

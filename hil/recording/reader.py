@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from hil.core.errors import RecordingError
 from hil.recording.entries import Decoder, Entry, Logged, Message, decoder_of, log_entry_of
-from hil.recording.handover import MESSAGE_HEADER, RECORD_HEADER, SEQUENCE_MASK
+from hil.recording.handover import RECORD_HEADER, SEQUENCE_MASK
 from hil.recording.mcap_reader import DEFINITION_ERRORS, Rows, numpy_codes
 from hil.recording.mcap_writer import DIGESTED_NAMES, METADATA_DIGEST, metadata_digest
 from hil.recording.run_files import Paths, open_contents
@@ -44,6 +44,10 @@ _ALWAYS_NS = 2**62
 _MAX_LOG_DELAY_NS = 10 * _SECOND_NS
 """Largest time from a sampling instant to the log time of its period, for the choice of chunks to read."""
 _Decoded = TypeVar("_Decoded")
+_MESSAGE_FIELDS = struct.Struct("<BQHIQQ")
+"""Message record up to its data: opcode, length, channel, sequence, log time, publish time."""
+_DECODING_ERRORS = (ValueError, IndexError, TypeError, struct.error)
+"""Exceptions of a decoder when the message is not what its topic and definition say."""
 _FRAME_TOPICS = {"received": RECEIVED_TOPIC, "sent": SENT_TOPIC, "refused": REFUSED_TOPIC}
 
 
@@ -280,32 +284,39 @@ class Recording:
         decoders = {channel.id: self._decoder_of(topic) for topic, channel in self._contents.channels.items()}
         expected = 1
         for message in self._messages(None):
-            if message.sequence != expected:
-                missing = (message.sequence - expected) & SEQUENCE_MASK
+            channel, sequence, now_ns, _, _ = message
+            if sequence != expected:
+                missing = (sequence - expected) & SEQUENCE_MASK
                 raise RecordingError(
-                    f"{self.path}: {missing} messages before {message.now_ns} ns {self._why_missing()}; the "
-                    "entries after them cannot be replayed"
+                    f"{self.path}: {missing} messages before {now_ns} ns {self._why_missing()}; the entries "
+                    "after them cannot be replayed"
                 )
-            expected = (message.sequence + 1) & SEQUENCE_MASK
-            decode = decoders.get(message.channel)
+            expected = (sequence + 1) & SEQUENCE_MASK
+            decode = decoders[channel]
             if decode is not None:
-                yield self._decoded(decode, message)
+                try:
+                    entry = decode(message)
+                except _DECODING_ERRORS as error:
+                    raise self._unreadable(message, error) from None
+                yield entry
         if self.messages_dropped:
             raise RecordingError(
                 f"{self.path}: {self.messages_dropped} messages after the last one were dropped while "
                 "recording"
             )
-        missing = self._messages_at_end() - (expected - 1)
-        if missing > 0:
-            raise RecordingError(
-                f"{self.path}: {missing} messages after the last one were removed by another program: the "
-                f"recorder wrote {expected - 1 + missing}"
-            )
 
-    def _messages_at_end(self) -> int:
-        """Return the number of messages that the recorder wrote; 0 if the recording does not have it."""
-        count = self.metadata.get("recorder", {}).get("messages", "")
-        return int(count) & SEQUENCE_MASK if count.isdecimal() and self.complete else 0
+    def check_count(self) -> None:
+        """Compare the number of messages with what the recorder states at the end of the file.
+
+        No gap in the sequence shows messages that are missing after the last one. Raises RecordingError.
+        """
+        stated = self.metadata.get("recorder", {}).get("messages", "")
+        found = sum(self.counts.values())
+        if self.complete and stated.isdecimal() and found < int(stated):
+            raise RecordingError(
+                f"{self.path}: {int(stated) - found} messages were removed by another program: the recorder "
+                f"wrote {stated}, and the file has {found}"
+            )
 
     def _why_missing(self) -> str:
         if "recovery" in self.metadata:
@@ -334,8 +345,11 @@ class Recording:
     def _decoded(self, decode: Callable[[Message], _Decoded], message: Message) -> _Decoded:
         try:
             return decode(message)
-        except (ValueError, IndexError, TypeError, struct.error) as error:
-            raise RecordingError(f"{self.path}: message {message.sequence} cannot be read: {error}") from None
+        except _DECODING_ERRORS as error:
+            raise self._unreadable(message, error) from None
+
+    def _unreadable(self, message: Message, error: Exception) -> RecordingError:
+        return RecordingError(f"{self.path}: message {message.sequence} cannot be read: {error}")
 
     def _rows(self, topic: str, kind: MessageType, frame_id: str = "") -> Rows:
         """Return the rows of ``topic`` within the range of time, and some around it.
@@ -362,13 +376,14 @@ class Recording:
 
     def _messages(self, topic: str | None) -> Iterator[Message]:
         """Yield the messages of ``topic`` (None: of all) in the order in which they were recorded."""
+        epoch_offset_ns, unpack_from = self.epoch_offset_ns, _MESSAGE_FIELDS.unpack_from
         for body, offsets in self._contents.chunks(topic):
-            places = sorted((offset, channel) for channel in offsets for offset in offsets[channel].tolist())
-            for offset, channel in places:
-                prefix, sequence, log_time, stamp_ns = MESSAGE_HEADER.unpack_from(body, offset)
-                end = offset + RECORD_HEADER.size + RECORD_HEADER.unpack(prefix[: RECORD_HEADER.size])[1]
-                payload = body[offset + MESSAGE_HEADER.size : end]
-                yield Message(channel, sequence, log_time - self.epoch_offset_ns, stamp_ns, payload)
+            if not offsets:
+                continue
+            for offset in np.sort(np.concatenate(list(offsets.values()))).tolist():
+                _, length, channel, sequence, log_time, stamp_ns = unpack_from(body, offset)
+                payload = body[offset + _MESSAGE_FIELDS.size : offset + RECORD_HEADER.size + length]
+                yield Message(channel, sequence, log_time - epoch_offset_ns, stamp_ns, payload)
 
     def _seconds(self, time_ns: IntArray) -> npt.NDArray[np.float64]:
         return np.asarray((time_ns - self.start_ns) * 1e-9)

@@ -100,29 +100,27 @@ def schedule_of(
     With ``answer_sync``, the samples of the boards' side wait for SYNC. Raises RecordingError when there is
     no frame with an instant of its own.
     """
-    table = recording.frames("received" if side is Side.BOARDS else "sent")
+    table = recording.between(from_s, to_s).frames("received" if side is Side.BOARDS else "sent")
     sendable = ~table.is_error
     if side is Side.BOARDS:
         commands = np.isin(table.id, [*OWN_IDENTIFIERS, *COMMANDS_TO_BOARDS])
         sendable &= ~commands | table.is_extended
-    before = np.zeros(len(table), np.bool_) if from_s is None else table.time_s < from_s
-    chosen = ~before if to_s is None else ~before & (table.time_s < to_s)
-    left_out = int(np.count_nonzero(chosen & ~sendable))
-    chosen &= sendable
     is_sample = (table.id == codec.TPDO1_ADC) & ~table.is_extended & ~table.is_remote
-    answers = chosen & is_sample & (answer_sync and side is Side.BOARDS)
-    chosen &= ~answers
-    if not chosen.any():
+    waiting = sendable & is_sample & (answer_sync and side is Side.BOARDS)
+    timed = table[sendable & ~waiting]
+    if len(timed) == 0:
         raise RecordingError(
             f"{recording.path}: has no frame of the {side} to send"
             + ("" if from_s is None and to_s is None else " in this range; see --from and --to")
         )
-    is_nmt = before & (table.id == codec.NMT) & ~table.is_extended
-    first = [] if side is Side.BOARDS else _nmt_commands(table[is_nmt])
-    begin_ns = int(table.time_ns[chosen][0])
+    first: list[Frame] = []
+    begin_ns = int(timed.time_ns[0])
     if from_s is not None:
         begin_ns = min(begin_ns, recording.start_ns + round(from_s * 1e9))
-    return Schedule(table[chosen], begin_ns, first, [data for _, data in _frames(table[answers])], left_out)
+        if side is Side.GATEWAY:
+            first = _nmt_commands(recording.between(None, from_s).frames("sent", codec.NMT))
+    answers = [frame for _, frame in _frames(table[waiting])]
+    return Schedule(timed, begin_ns, first, answers, int(np.count_nonzero(~sendable)))
 
 
 def _frames(table: FrameTable) -> Iterator[tuple[int, Frame]]:

@@ -114,25 +114,31 @@ def _gateway(recording: Recording, first_deadline_ns: int) -> Gateway:
 def _replay(recording: Recording, gateway: Gateway) -> ReplayReport:
     replay = _Replay(gateway, tuple(recording.axes))
     first_ns: int | None = None
-    duration_s = 0.0
+    last_ns = 0
     for number, entry in enumerate(recording.entries(), 1):
-        first_ns = entry.now_ns if first_ns is None else first_ns
-        duration_s = (entry.now_ns - first_ns) * 1e-9
+        if first_ns is None:
+            first_ns = entry.now_ns
         found = replay.take(entry)
+        last_ns = entry.now_ns
         if found is not None:
+            duration_s = (last_ns - first_ns) * 1e-9
             raise ReplayMismatchError(f"{duration_s:.6f} s, message {number}: {found}")
     found = replay.missing_answer()
     if found is not None and recording.complete:
         raise ReplayMismatchError(f"after the last message: {found}")
+    recording.check_count()
     compared = replay.compared
     return ReplayReport(
         replay.calls,
         compared[FrameSent],
         compared[Logged],
         compared[CycleRecorded],
-        duration_s,
+        0.0 if first_ns is None else (last_ns - first_ns) * 1e-9,
         recording.complete,
     )
+
+
+_CALLS = (FrameReceived, DeadlineCalled, Operated, LinkFailed)
 
 
 class _Replay:
@@ -149,14 +155,12 @@ class _Replay:
 
     def take(self, entry: Entry) -> Difference | None:
         """Give a recorded call to the core, or compare a recorded answer with the core's next one."""
-        match entry:
-            case LinkFailed():
+        if isinstance(entry, _CALLS):
+            if isinstance(entry, LinkFailed):
                 self._pending.clear()  # An exception while the frames were sent ended the last answer early.
-                return self._call(entry)
-            case FrameReceived() | DeadlineCalled() | Operated():
-                return self.missing_answer() or self._call(entry)
-            case Logged() if not self._pending:
-                return None  # A log entry of the shell, between two answers of the core.
+            return self.missing_answer() or self._call(entry)
+        if isinstance(entry, Logged) and not self._pending:
+            return None  # A log entry of the shell, between two answers of the core.
         self.compared[type(entry)] += 1
         if isinstance(entry, FrameRefused) and entry.frame.id == RPDO1_DAC:
             self._gateway.command_refused(entry.frame)

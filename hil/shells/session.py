@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -68,16 +69,17 @@ class Session:
 
     def on_deadline(self, now_ns: int) -> None:
         """Begin a period, then give the core the trigger that the plan asks for."""
-        self._recorder.deadline_called(self.gateway.next_deadline_ns, now_ns)
-        self._handle(self.gateway.on_deadline(now_ns), now_ns)
-        trigger = self.plan.after_period(self.gateway)
+        gateway = self.gateway
+        record = partial(self._recorder.deadline_called, gateway.next_deadline_ns, now_ns)
+        self._handle(partial(gateway.on_deadline, now_ns), record, now_ns)
+        trigger = self.plan.after_period(gateway)
         if trigger is not None:
             self.operate(trigger)
 
     def receive(self, frame: Frame, now_ns: int, stamp_ns: int) -> None:
         """Give the core a frame that the link stamped ``stamp_ns`` and that was read at ``now_ns``."""
-        self._recorder.frame_received(frame, now_ns, stamp_ns)
-        self._handle(self.gateway.receive(frame, now_ns), now_ns)
+        record = partial(self._recorder.frame_received, frame, now_ns, stamp_ns)
+        self._handle(partial(self.gateway.receive, frame, now_ns), record, now_ns)
 
     def operate(
         self, request: Request, asked_by: str = "", prepared: PreparedController | None = None
@@ -91,9 +93,8 @@ class Session:
             text = f"{asked_by} asks: {describe_request(request)}"
             self.note(LogEntry(Severity.INFO, "operator", text))
         now_ns = self._clock_ns()
-        self._recorder.operated(request, now_ns, asked_by)
-        output = self.gateway.operate(request, now_ns, prepared)
-        self._handle(output, now_ns)
+        record = partial(self._recorder.operated, request, now_ns, asked_by)
+        output = self._handle(partial(self.gateway.operate, request, now_ns, prepared), record, now_ns)
         reply = output.reply
         assert reply is not None, f"no reply to {request}"
         if self._recordings is not None and isinstance(request, ControllerRequest) and reply.accepted:
@@ -130,19 +131,30 @@ class Session:
         now_ns = self._clock_ns()
         self.plan.fail(ending)
         self.commands_taken = self._refused_commands_in_row = 0
-        self._recorder.link_failed(reason, now_ns)
-        self._handle(self.gateway.link_failed(reason), now_ns)
+        record = partial(self._recorder.link_failed, reason, now_ns)
+        self._handle(partial(self.gateway.link_failed, reason), record, now_ns)
 
     def note(self, entry: LogEntry) -> None:
         """Record and show a log entry of the shell itself."""
         self._recorder.log_entry(entry, self._clock_ns())
         self._observer.log(entry)
 
-    def _handle(self, output: Output, now_ns: int) -> None:
-        """Send, record and show what the core returned for a call at ``now_ns``."""
-        computed_ns = self._sent_ns = self._clock_ns()
+    def _handle(self, call: Callable[[], Output], record: Callable[[], None], now_ns: int) -> Output:
+        """Make a call of the core at ``now_ns``. Send, record and show what it returns, and return it.
+
+        ``record`` records the call itself. Frames are sent before anything is recorded, because nothing may
+        delay them. The recording has the call first, then its frames, also when the call or a send fails.
+        """
+        tried: list[tuple[Frame, bool, int]] = []
         refused_before = self._refused_frames
-        failure = self._send_frames(output.frames) if output.frames else None
+        try:
+            output = call()
+            if output.cycle is not None:
+                computed_ns = self._sent_ns = self._clock_ns()
+            failure = self._send_frames(output.frames, tried) if output.frames else None
+        finally:
+            record()
+            self._record_frames(tried)
         for entry in output.log:
             self._recorder.log_entry(entry, now_ns)
             self._observer.log(entry)
@@ -153,9 +165,15 @@ class Session:
             failure = failure or self._check_refused_commands()
         if failure is not None:
             raise failure
+        return output
 
-    def _send_frames(self, frames: tuple[Frame, ...]) -> LinkError | None:
-        """Send and record frames in order. Return the first error; frames after it are tried all the same."""
+    def _send_frames(
+        self, frames: tuple[Frame, ...], tried: list[tuple[Frame, bool, int]]
+    ) -> LinkError | None:
+        """Send frames in order. Return the first error; frames after it are tried all the same.
+
+        Adds to ``tried`` each frame, whether the bus took it, and the time after that.
+        """
         failure: LinkError | None = None
         for frame in frames:
             try:
@@ -164,14 +182,19 @@ class Session:
                 is_taken, failure = False, failure or error
             else:
                 self._count(frame, is_taken)
-            sent_ns = self._sent_ns = self._clock_ns()
+            self._sent_ns = self._clock_ns()
+            tried.append((frame, is_taken, self._sent_ns))
+            if not is_taken and frame.id == RPDO1_DAC:
+                self.gateway.command_refused(frame)
+        return failure
+
+    def _record_frames(self, tried: list[tuple[Frame, bool, int]]) -> None:
+        """Record frames that the bus took or refused."""
+        for frame, is_taken, sent_ns in tried:
             if is_taken:
                 self._recorder.frame_sent(frame, sent_ns)
             else:
                 self._recorder.frame_refused(frame, sent_ns)
-                if frame.id == RPDO1_DAC:
-                    self.gateway.command_refused(frame)
-        return failure
 
     def _count(self, frame: Frame, is_taken: bool) -> None:
         """Count a frame that the bus took or refused."""

@@ -91,7 +91,7 @@ def freeze(monkeypatch: pytest.MonkeyPatch, axis: str, at_s: float) -> None:
                 self.adc.faults = AdcFaults(frozen_v={channel: self.plant.potentiometer_v()[channel - 1]})
             return super().receive(frame, now_ns)
 
-    monkeypatch.setattr(simulated_rig, "SimulatedRig", FrozenRig)
+    monkeypatch.setattr("firmware_sim.simulated_plant.SimulatedRig", FrozenRig)
 
 
 @pytest.mark.parametrize("axis", AXES)

@@ -22,6 +22,7 @@ from can.interfaces.virtual import VirtualBus
 from numpy.typing import NDArray
 
 from hil.cli.launch import run_lockstep, run_realtime
+from hil.cli.run import parser
 from hil.core.wire import codec
 from hil.recording.reader import Recording
 from hil.shells.run_plan import RunPlan
@@ -67,7 +68,7 @@ def bench_codec() -> None:
 
 
 def options(*, linear: bool) -> argparse.Namespace:
-    return argparse.Namespace(linear=linear, arm=None, scenario=None, event=[], seed=0, rig=None)
+    return parser().parse_args(["--linear"] if linear else [])
 
 
 def bench_lockstep(folder: Path) -> None:

@@ -7,6 +7,7 @@ cycle follows its table. The same calls give the same outputs.
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Callable, Sequence
 from random import Random
 from typing import NamedTuple, TypeAlias
@@ -38,10 +39,12 @@ from support.protected_rigs import (
 
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from hil.core.controller_file import Law, PidLaw, TransferFunctionLaw
+from hil.core.core_state import restore, state_of
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import TRANSITIONS, LifeCycleState, Trigger
 from hil.core.output import Output
+from hil.core.requests import ControllerRequest, JogRequest, Request, SetpointRequest
 from hil.core.rig import Rig
 from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS, UNCOUNTED_ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
@@ -97,7 +100,7 @@ class Arrival(NamedTuple):
 
 
 class Operation(NamedTuple):
-    trigger: Trigger
+    request: Request
 
 
 class LinkFailure(NamedTuple):
@@ -164,6 +167,26 @@ good_periods = st.builds(
 bring_ups = st.builds(
     BringUp, st.sampled_from([LifeCycleState.ARMED, LifeCycleState.RUNNING, LifeCycleState.RUNNING])
 )
+CONTROLLER = """{"format": "hil-controller", "version": 1, "name": "", "description": "", "origin": {},
+"sample_time_s": 0.0112, "input_unit": "%s", "output_unit": "V",
+"law": {"kind": "pid", "kp": %s, "ki": 5.0}}"""
+axis_names = st.sampled_from([*AXES, *AXES, "elbow"])
+requests: st.SearchStrategy[Request] = st.one_of(
+    st.builds(
+        SetpointRequest,
+        axis_names,
+        st.sampled_from(["0.05", "-0.1", "9", "hold", "sine:0.02@0/1", "ladder:0.1,-0.1@0/0.05", "no"]),
+    ),
+    st.builds(
+        ControllerRequest,
+        axis_names,
+        st.just("new.json"),
+        st.builds(
+            lambda unit, kp: CONTROLLER % (unit, kp), st.sampled_from(["m", "rad"]), st.floats(-1e3, 1e3)
+        ),
+    ),
+    st.builds(JogRequest, axis_names, st.floats(-1.2, 1.2), st.sampled_from([0.01, 0.1, 0.5, 2.0, -1.0])),
+)
 steps: st.SearchStrategy[Step] = st.one_of(
     good_periods,
     good_periods,
@@ -172,6 +195,8 @@ steps: st.SearchStrategy[Step] = st.one_of(
     samples,
     st.builds(Arrival, frames),
     st.builds(Operation, st.sampled_from(list(Trigger))),
+    st.builds(Operation, requests),
+    st.builds(Operation, requests),
     bring_ups,
     bring_ups,
     st.builds(LinkFailure, st.text(max_size=5)),
@@ -189,6 +214,8 @@ class Subject:
         self.rpdo_counter = 0
         self.optional_counter = 0
         self.silent_periods, self.state_before = 0, self.core.state
+        self.jogged: str | None = None
+        """Axis of the last jog; None since control began."""
         self.sent_v: dict[str, float] = {name: axis.valve.centre_v for name, axis in rig.axes.items()}
         self.calls: list[tuple[Callable[[Gateway], Output], Output]] = []
 
@@ -205,8 +232,8 @@ class Subject:
                 self.receive(self.sample(step))
             case Arrival(frame):
                 self.receive(frame)
-            case Operation(trigger):
-                self.operate(trigger)
+            case Operation(request):
+                self.operate(request)
             case LinkFailure(reason):
                 self.call(lambda core: core.link_failed(reason))
             case BringUp(until):
@@ -277,11 +304,20 @@ class Subject:
             assert frame.id == codec.TPDO1_ADC
             assert output.cycle is not None and output.cycle.fresh
 
-    def operate(self, trigger: Trigger) -> None:
+    def operate(self, request: Request) -> None:
         now_ns = self.now_ns
-        self.call(lambda core: core.operate(trigger, now_ns), operated=trigger)
+        before = self.core.state
+        output = self.call(lambda core: core.operate(request, now_ns), operated=request)
+        assert output.reply is not None
+        assert output.reply.text
+        if isinstance(request, JogRequest) and output.reply.accepted:
+            assert before in (LifeCycleState.ARMED, LifeCycleState.RUNNING)
+            assert abs(request.offset_v) <= 1.0
+            self.jogged = request.axis
+        elif request is Trigger.START and output.reply.accepted:
+            self.jogged = None
 
-    def call(self, call: Callable[[Gateway], Output], operated: Trigger | None = None) -> Output:
+    def call(self, call: Callable[[Gateway], Output], operated: Request | None = None) -> Output:
         before = self.core.state
         output = call(self.core)
         self.calls.append((call, output))
@@ -291,19 +327,25 @@ class Subject:
                 self.check_command(frame)
         return output
 
-    def check_life_cycle(self, before: LifeCycleState, output: Output, operated: Trigger | None) -> None:
-        """Every change is in the table and reported. Only an operator arms, starts and resets."""
+    def check_life_cycle(self, before: LifeCycleState, output: Output, operated: Request | None) -> None:
+        """Every change is in the table and reported. Only an operator arms, starts, jogs and resets."""
         state = before
         for entry in output.log:
             if entry.source != "life cycle" or "->" not in entry.text:
                 continue
             text_before, _, rest = entry.text.partition(" -> ")
             text_after, _, text_trigger = rest.partition(" (")
-            trigger = Trigger(text_trigger.rstrip(")"))
+            is_jog = text_trigger.startswith("jog")
+            if is_jog:
+                trigger = Trigger.START if text_trigger == "jog)" else Trigger.STOP
+            else:
+                trigger = Trigger(text_trigger.rstrip(")"))
             assert state.name.lower() == text_before
             state = TRANSITIONS[state, trigger]
             assert state.name.lower() == text_after
-            if trigger in (Trigger.ARM, Trigger.START, Trigger.RESET, Trigger.STOP, Trigger.DISARM):
+            if is_jog:
+                assert trigger is Trigger.STOP or isinstance(operated, JogRequest)
+            elif trigger in (Trigger.ARM, Trigger.START, Trigger.RESET, Trigger.STOP, Trigger.DISARM):
                 assert trigger is operated
         assert state is self.core.state
         assert (self.core.fault_reason is not None) == (state is LifeCycleState.FAULT)
@@ -319,6 +361,8 @@ class Subject:
             assert valve.min_v <= sent <= valve.max_v
             is_centred = abs(sent - valve.centre_v) <= COUNT_V / 2
             assert is_centred or self.core.state is LifeCycleState.RUNNING
+            if self.jogged is not None:
+                assert is_centred or (name == self.jogged and abs(sent - valve.centre_v) <= 1.0 + COUNT_V)
             step = abs(sent - self.sent_v[name])
             assert is_centred or step <= valve.max_rate_v_s * self.rig.loop.period_s + COUNT_V
             self.sent_v[name] = sent
@@ -338,8 +382,16 @@ def test_under_arbitrary_calls_the_valves_are_safe_and_the_outputs_repeatable(
     for step in sequence:
         subject.take(step)
     again = make_gateway(rig, law, "ladder:0.1,-0.1@0/0.05")
-    for call, output in subject.calls:
+    for number, (call, output) in enumerate(subject.calls):
+        if number == len(subject.calls) // 2:
+            again = continued(again, make_gateway(rig, law, "ladder:0.1,-0.1@0/0.05"))
         assert repr(call(again)) == repr(output)  # as text: a signal may be NaN
+
+
+def continued(core: Gateway, fresh: Gateway) -> Gateway:
+    """Return ``fresh`` with the state of ``core``, as a recording that begins in the middle has it."""
+    restore(fresh, json.loads(json.dumps(state_of(core), allow_nan=False)))
+    return fresh
 
 
 @given(

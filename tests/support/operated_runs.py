@@ -42,8 +42,9 @@ class OperatedRun:
         path: Path,
         setpoints: Mapping[str, str] | None = None,
         limits: RotationLimits | None = None,
+        rig_path: Path | None = None,
     ) -> None:
-        self.setup = load_setup(None, {}, setpoints or {})
+        self.setup = load_setup(rig_path, {}, setpoints or {})
         self.shown = Shown()
         self.plan = OperatorPlan()
         rig = self.setup.rig

@@ -23,6 +23,8 @@ MIN_IMPROVEMENT = 0.02
 """Share of the simulation error's variance that a delay must remove to be suggested."""
 NEARLY_BEST = 0.1
 """Share of the largest improvement that a shorter delay may leave."""
+NOTED_LOST_PERCENT = 1.0
+"""Fit in per cent that a missing dead time must cost to be reported."""
 MAX_LOST_PERCENT = 2.0
 """Fit in per cent that a missing dead time may cost before the model is doubtful."""
 
@@ -33,7 +35,10 @@ def share_from_input(analysis: ResidualAnalysis) -> float:
 
 
 def check_dynamics(estimate: Estimate, analysis: ResidualAnalysis, fit: float) -> Iterator[Finding]:
-    """Find a dead time that the structure lacks or, if none helps, say that dynamics are missing."""
+    """Find a dead time that the structure lacks or, if none helps, say that dynamics are missing.
+
+    A dead time that costs less than NOTED_LOST_PERCENT of the fit is not reported.
+    """
     if analysis.from_input.passed or not np.isfinite(fit):
         return
     first, nk = estimate.experiments[0], estimate.discrete.nk
@@ -57,9 +62,13 @@ def check_dynamics(estimate: Estimate, analysis: ResidualAnalysis, fit: float) -
         return
     samples, improvement = suggested
     lost = (100.0 - fit) * (1.0 - float(np.sqrt(1.0 - improvement)))
+    if lost <= NOTED_LOST_PERCENT:
+        return
+    is_doubtful = lost > MAX_LOST_PERCENT
+    limit = MAX_LOST_PERCENT if is_doubtful else NOTED_LOST_PERCENT
     yield Finding(
         kind=Kind.DEAD_TIME,
-        severity=Severity.WARN if lost > MAX_LOST_PERCENT else Severity.NOTE,
+        severity=Severity.WARN if is_doubtful else Severity.NOTE,
         record=first.name,
         signal=first.names.y,
         figure=samples,
@@ -67,7 +76,7 @@ def check_dynamics(estimate: Estimate, analysis: ResidualAnalysis, fit: float) -
         unit="samples",
         text=(
             f"a delay of nk = {samples} instead of {nk} would raise the fit by {lost:.3g} % (limit "
-            f"{MAX_LOST_PERCENT:g} %)"
+            f"{limit:g} %)"
         ),
         remedy=f"use nk = {samples}, or a continuous structure with a dead time",
     )

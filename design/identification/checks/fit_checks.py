@@ -38,7 +38,8 @@ def check_fit(
     own, other = overall_fit(fitted), overall_fit(validation)
     explained = min(other, *(comparison.input_percent for comparison in validation))
     if not explained >= REFUSED_PERCENT:
-        yield _no_fit(estimate, own, explained, validation[0].experiment.name)
+        worst = min(validation, key=lambda comparison: comparison.input_percent).experiment
+        yield _no_fit(estimate, own, explained, worst)
         return
     if other < POOR_PERCENT:
         yield Finding(
@@ -97,12 +98,16 @@ def _beyond_the_sensor(estimate: Estimate) -> Iterator[Finding]:
         )
 
 
-def _no_fit(estimate: Estimate, own: float, explained: float, record: str) -> Finding:
-    """Return the reason why a model explains next to nothing."""
-    names = estimate.experiments[0].names
+def _no_fit(estimate: Estimate, own: float, explained: float, validation: Experiment) -> Finding:
+    """Return the reason why a model explains next to nothing of the record ``validation``.
+
+    A model that follows its own data shows that the columns of the other record are wrong.
+    """
+    names, record = estimate.experiments[0].names, validation.name
     percent = max(explained, 0.0)
-    swapped = _fit_of_swapped(estimate.experiments) if own < POOR_PERCENT else -np.inf
-    if swapped > max(POOR_PERCENT, own + SWAPPED_GAIN):
+    suspected = estimate.experiments if own < POOR_PERCENT else [validation]
+    swapped = _fit_of_swapped(suspected)
+    if swapped > max(POOR_PERCENT, (own if own < POOR_PERCENT else percent) + SWAPPED_GAIN):
         return Finding(
             kind=Kind.SWAPPED,
             severity=Severity.REFUSE,
@@ -115,7 +120,7 @@ def _no_fit(estimate: Estimate, own: float, explained: float, record: str) -> Fi
                 f"{names.u} follows from {names.y} to {swapped:.3g} %, but {names.y} from {names.u} to "
                 f"{percent:.3g} %"
             ),
-            remedy="exchange the two columns",
+            remedy=f"exchange the two columns of {suspected[0].name}",
         )
     return Finding(
         kind=Kind.POOR_FIT,

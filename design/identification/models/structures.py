@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from design.errors import DesignError
+from hil.core.suggestions import did_you_mean
 
 MAX_ORDER = 12
 """Largest order of a polynomial. Beyond it, double precision cannot represent a fast-sampled denominator."""
@@ -171,7 +172,8 @@ def parse_structure(text: str) -> Structure:
     if kind.lower() == "continuous":
         return ContinuousPoles(**_keywords(text, inside))
     if kind.upper() not in _ORDERS:
-        raise DesignError(f"structure {text!r} is not known; write {FORMS}")
+        hint = did_you_mean(kind, [*_ORDERS, "continuous"])
+        raise DesignError(f"structure {text!r} is not known{hint or '.'} Write {FORMS}")
     make, count = _ORDERS[kind.upper()]
     if not inside and make is OutputError:
         return OutputError()

@@ -56,11 +56,7 @@ class Experiment:
                 f"{self.name}: {self.names.u} has {len(u)} samples and {self.names.y} has {len(y)}; both "
                 "need one value for each period"
             )
-        period = float(self.sample_time_s)
-        if not (np.isfinite(period) and period > 0.0):
-            raise DesignError(
-                f"{self.name}: sample time {self.sample_time_s} s; it must be positive, in seconds"
-            )
+        period = _period(self.sample_time_s, self.name)
         if self.transport_delay_samples < 0:
             raise DesignError(
                 f"{self.name}: transport delay {self.transport_delay_samples} samples; it cannot be negative"
@@ -119,6 +115,19 @@ class Experiment:
         u = np.full(len(self), np.nan)
         u[delay:] = self.u[: max(len(self) - delay, 0)]
         return replace(self, u=u, transport_delay_samples=0)
+
+
+def _period(value: object, record: str) -> float:
+    """Return the sample time in s. Raises DesignError."""
+    try:
+        period = float(value)  # type: ignore[arg-type]  # whatever it is, float() says so
+    except (TypeError, ValueError):
+        raise DesignError(
+            f"{record}: sample time {value!r} is not a number; give a number of seconds"
+        ) from None
+    if not (np.isfinite(period) and period > 0.0):
+        raise DesignError(f"{record}: sample time {value} s; it must be positive, in seconds")
+    return period
 
 
 def _column(values: ArrayLike, record: str, signal: str) -> Array:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from select import select
 from typing import Final
 
+from hil.core.rig import POLL_BEFORE_DEADLINE_S
 from hil.host.doctor import kernel_files
 from hil.host.doctor.check import Check, check
 from hil.host.doctor.kernel_files import read_line
@@ -28,12 +29,14 @@ _LIMITS_FILE: Final = "/etc/security/limits.d/hil.conf"
 _USER_ADVICE: Final = {
     "SCHED_FIFO": f"echo '{{user}} - rtprio 49' | sudo tee -a {_LIMITS_FILE}; log in again",
     "processor": "granted together with SCHED_FIFO",
+    "polling": "granted together with SCHED_FIFO, if more than one processor is usable",
     "memory lock": f"echo '{{user}} - memlock unlimited' | sudo tee -a {_LIMITS_FILE}; log in again",
     "processor sleep": "sudo chmod a+w /dev/cpu_dma_latency",
 }
 _CONTAINER_ADVICE: Final = {
     "SCHED_FIFO": "start the container with --cap-add SYS_NICE",
     "processor": "granted together with SCHED_FIFO",
+    "polling": "granted together with SCHED_FIFO, if more than one processor is usable",
     "memory lock": "start the container with --cap-add IPC_LOCK",
     "processor sleep": "start the container with --device /dev/cpu_dma_latency",
 }
@@ -42,8 +45,8 @@ _CONTAINER_ADVICE: Final = {
 
 def rights_and_wake_ups() -> Iterator[Check]:
     """Take the real-time rights as a run does, and measure with them how late this thread wakes up."""
-    with real_time_rights() as rights:
-        lateness_ns = wake_up_lateness_ns()
+    with real_time_rights(POLL_BEFORE_DEADLINE_S) as rights:
+        lateness_ns = wake_up_lateness_ns(rights.poll_ns)
     for right in rights:
         yield check(right.name, right.detail, "" if right.is_granted else rights_advice(right))
     p50_us, worst_us = lateness_ns[WAKE_UPS // 2] // 1000, lateness_ns[-1] // 1000
@@ -63,17 +66,19 @@ def rights_advice(right: Right) -> str:
     return advice.format(user=os.environ.get("USER", "USER"))
 
 
-def wake_up_lateness_ns() -> list[int]:
-    """Return how late this thread woke up, in ascending order.
+def wake_up_lateness_ns(poll_ns: int = 0) -> list[int]:
+    """Return how late this thread was at each deadline, in ascending order.
 
-    It waits as the loop does: with ``select``, for absolute deadlines that are one period apart.
+    It waits as the loop does: with ``select``, for absolute deadlines that are one period apart. In the last
+    ``poll_ns`` before a deadline it polls the clock.
     """
     lateness_ns = []
     deadline_ns = time.monotonic_ns()
     for _ in range(WAKE_UPS):
         deadline_ns += PERIOD_NS
         while (left_ns := deadline_ns - time.monotonic_ns()) > 0:
-            select([], [], [], left_ns * 1e-9)
+            if left_ns > poll_ns:
+                select([], [], [], (left_ns - poll_ns) * 1e-9)
         lateness_ns.append(-left_ns)
     return sorted(lateness_ns)
 

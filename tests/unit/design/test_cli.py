@@ -355,7 +355,7 @@ def test_a_structure_that_cannot_stabilise_the_plant_is_refused(
 ) -> None:
     """No proportional gain adds damping to an unstable plant of second order."""
     plant = write_plant(here, num=[20.0], den=[1.0, -0.1, 0.0])
-    (here / "d.toml").write_text("[specifications]\novershoot = 10.0\n" + SHORT)
+    (here / "d.toml").write_text("[specifications]\novershoot = 1.0\n" + SHORT)
     text = error_of([plant, "--design", "d.toml", "--structure", "p"], capsys)
     assert "stabilises the plant" in text
     assert "gain is negative" not in text

@@ -31,6 +31,11 @@ class TestCsv:
         assert (record.unit, record.axis, record.findings) == ("rad", "", ())
         assert len(record.sha256) == 64
 
+    def test_unusual_units_are_findings(self, tmp_path: Path) -> None:
+        lines = [f"{1000 * k * TS:.4f},{k % 3},{0.001 * k}" for k in range(200)]
+        (finding,) = read_record(write(tmp_path / "ms.csv", lines)).findings
+        assert "10 s is unusual for a pneumatic axis (limit 1 s); if the times are in ms" in str(finding)
+
     def test_other_names_and_further_columns(self, tmp_path: Path) -> None:
         lines = [f"x,{line}" for line in rows()]
         path = write(tmp_path / "data.csv", lines, "note,t,valve,position")
@@ -72,6 +77,8 @@ class TestCsv:
                 "time,u,y",
                 r"no column time_s; it has time, u, y.*or give --sample-time",
             ),
+            (["0;1;2"], "time_s;u;y", r"separated by semicolons, not by commas: 'time_s;u;y'"),
+            (["0\t1\t2"], "time_s\tu\ty", r"separated by tabs, not by commas"),
             (["0,1,2"], "time_s,u,yy", r"no column y; it has time_s, u, yy"),
             (["0,1,2", "0.01,x,2"], "time_s,u,y", r"line 3: u is 'x', not a number"),
             (["0,1,2", "0.02,1,2", "0.01,1,2"], "time_s,u,y", r"row 3: the time goes back"),

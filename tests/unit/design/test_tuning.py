@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -12,10 +13,12 @@ from support.constants import PERIOD_S
 from support.recorded_runs import following, lag, record_run, step
 
 from design.output.tuning_results import Condition, Job
-from design.tuning import claim_folder
+from design.tuning import claim_folder, last_step
 from design.tuning_experiments import APPROACH_S, REST_S, start_position, step_command, step_setpoint
 from hil.core.errors import DocumentError
 from hil.core.setpoints import parse_setpoint
+from hil.recording import open_recording
+from hil.views.summary import StepResponse
 
 NOMINAL = Condition(name="nominal")
 JOB = Job("vertical", 0.4, 60.0, "OE(1,3,1)", [NOMINAL])
@@ -91,6 +94,23 @@ class TestSetpointOfAVerification:
         assert start_position(JOB, NOMINAL, tmp_path) == pytest.approx(0.0, abs=1e-3)
         real = msgspec.structs.replace(JOB, bus="can0")
         assert start_position(real, NOMINAL, tmp_path) == pytest.approx(0.1, abs=1e-3)
+
+
+def test_the_readings_are_those_of_the_step_and_not_of_the_path_to_it(tmp_path: Path) -> None:
+    settling_s, tau_s = 1.2, 0.2
+    step_s = APPROACH_S + REST_S + settling_s
+    setpoint = parse_setpoint("csv:step.csv", step_setpoint(0.0, 0.08, 0.1, settling_s))
+    response = lag(0.02, step_s, tau_s)
+
+    def position(t: float) -> float:
+        return setpoint.at(t) if t < step_s else 0.08 + response(t)
+
+    path = tmp_path / "nominal-step.mcap"
+    record_run(path, round((step_s + 4.0) / PERIOD_S), following(setpoint.at, position))
+    found = last_step(open_recording(path).axis("vertical"))
+    assert isinstance(found, StepResponse)
+    assert (found.step_from, found.step_to) == (pytest.approx(0.08), pytest.approx(0.1))
+    assert found.settling_s == pytest.approx(tau_s * math.log(50.0), abs=2.0 * PERIOD_S)
 
 
 def test_an_experiment_does_not_outlive_a_tuning_that_was_killed() -> None:

@@ -7,9 +7,12 @@ is not at its centre by itself. A period is 0.0112 s, the DAC board's watchdog a
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import get_args
 
 import pytest
+from support.shipped_rig import RIG_TEXT
 
 from firmware_sim.faults.fault_text import parse_fault
 from firmware_sim.faults.kinds import AnyFault, ArmFault
@@ -59,6 +62,14 @@ FAULTS = {
     "stall:0.2@0": ("dac: EMCY 0x8250 (RPDO did not come in time)", WATCHDOG),
 }
 """Fault to the beginning of its reason, and the largest number of periods until the valves stay centred."""
+
+WITH_INPUTS = {
+    "lose:inputs@0": ("emergency stop: no good frame 0x290 for", 5),
+    "corrupt:inputs@0": ("last frame rejected: frame 0x290: CRC", 5),
+    "emergency-stop:pressed@0": ("emergency stop", 1),
+    "lose:read-back@0": ("dac: no read-back of the valves (TPDO1_DAC) for 5 periods", 6),
+}
+"""The same as FAULTS, for a rig file with an emergency stop and with read-back of the valves."""
 
 STANDING = {
     "freeze-sensor:vertical@0": ("vertical: the position stands still", 2.6),
@@ -111,8 +122,8 @@ UNSTOPPABLE = {
 """Faults that the gateway finds, although it cannot centre the valves."""
 
 
-def running_rig(setpoint: str, control_s: float) -> LockstepRig:
-    rig = LockstepRig(setpoints={"vertical": setpoint}, seed=1)
+def running_rig(setpoint: str, control_s: float, file: Path | None = None) -> LockstepRig:
+    rig = LockstepRig(file, setpoints={"vertical": setpoint}, seed=1)
     rig.bring_up()
     rig.arm()
     rig.start()
@@ -121,8 +132,8 @@ def running_rig(setpoint: str, control_s: float) -> LockstepRig:
     return rig
 
 
-def moving_rig() -> LockstepRig:
-    rig = running_rig("sine:0.1@0/2", 1.5)
+def moving_rig(file: Path | None = None) -> LockstepRig:
+    rig = running_rig("sine:0.1@0/2", 1.5, file)
     assert abs(rig.boards.dac.valve_v[0] - 5.0) > 0.3, "the valve is open when the fault begins"
     return rig
 
@@ -144,6 +155,28 @@ def test_a_dangerous_fault_centres_the_valves_in_time(fault: str) -> None:
     rig.inject_fault(fault)
     assert periods_until_centred(rig, limit + 40) <= limit
     assert rig.state.name == "FAULT"
+    assert reason in (rig.gateway.fault_reason or "")
+
+
+@pytest.fixture(scope="module")
+def rig_with_inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shipped rig file with its examples of emergency stop and read-back switched on."""
+    head, mark, rest = RIG_TEXT.replace("# read_back = true", "read_back = true").partition(
+        "# [emergency_stop]"
+    )
+    example, end, tail = rest.partition("# [enable]")
+    text = head + mark[2:] + re.sub(r"(?m)^# (\w+ = )", r"\1", example) + end + tail
+    path = tmp_path_factory.mktemp("rig") / "rig.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("fault", WITH_INPUTS)
+def test_a_fault_of_inputs_or_read_back_centres_the_valves_in_time(fault: str, rig_with_inputs: Path) -> None:
+    reason, limit = WITH_INPUTS[fault]
+    rig = moving_rig(rig_with_inputs)
+    rig.inject_fault(fault)
+    assert periods_until_centred(rig, limit + 20) <= limit
     assert reason in (rig.gateway.fault_reason or "")
 
 

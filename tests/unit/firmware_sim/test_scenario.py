@@ -43,3 +43,11 @@ def test_a_scenario_for_an_axis_that_the_rig_does_not_have_is_rejected(table: st
     scenario = read_scenario(f'title = "mine"\nduration_s = 1.0\n{table}\n', "mine.toml")
     with pytest.raises(DocumentError, match=r"mine\.toml: \w+: no axis 'elbow'; the rig has vertical, "):
         check_axes(scenario, AXES, "mine.toml")
+
+
+def test_mistyped_names_get_a_hint() -> None:
+    with pytest.raises(DocumentError, match=r"did you mean fig13\?"):
+        find_scenario("fg13")
+    scenario = read_scenario('title = "mine"\nduration_s = 1.0\n[controllers]\nverticl = "ppid"\n', "m.toml")
+    with pytest.raises(DocumentError, match=r"did you mean vertical\?"):
+        check_axes(scenario, AXES, "m.toml")

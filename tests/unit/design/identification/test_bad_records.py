@@ -62,6 +62,14 @@ def test_many_places_without_a_known_input_are_noted_with_the_option_that_helps(
     assert Kind.GAPS not in findings(U, np.where(lost, np.nan, Y))
 
 
+def test_swapped_columns_of_the_validation_record_are_found() -> None:
+    other = paper_record(2)
+    swapped = Experiment(other.y, other.u, PERIOD_S, name="other.csv")
+    refused = findings(U, Y, validation=[swapped])[Kind.SWAPPED]
+    assert (refused.severity, refused.record) == (Severity.REFUSE, "other.csv")
+    assert refused.remedy == "exchange the two columns of other.csv"
+
+
 def test_nothing_is_said_against_a_good_record() -> None:
     found = identify(U, Y, PERIOD_S, expected=Expectations(PERIOD_S, (-5.0, 5.0), (-0.15, 0.15), None))
     assert found.findings == ()

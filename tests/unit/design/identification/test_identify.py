@@ -60,6 +60,11 @@ def test_other_records_validate() -> None:
         identify_experiments([])
 
 
+def test_a_sample_time_that_is_no_number_is_refused() -> None:
+    with pytest.raises(DesignError, match="sample time 'fast' is not a number; give a number of seconds"):
+        identify(np.ones(100), np.ones(100), "fast")  # type: ignore[arg-type]
+
+
 def delayed_rig(seed: int, delay: int) -> Experiment:
     """A rig that applies each recorded input some periods later."""
     record = paper_record(seed)
@@ -81,6 +86,17 @@ def test_the_rigs_transport_delay_is_counted_once() -> None:
     ignored = identify_experiments([record], remove_transport_delay=False)
     (note, *_) = [finding for finding in ignored.findings if finding.kind is Kind.DEAD_TIME]
     assert note.figure == 3.0
+    assert "(limit 1 %)" in note.text
+
+
+def test_a_dead_time_that_costs_less_than_its_limit_is_not_mentioned() -> None:
+    half = hold(ContinuousModel(np.array([43.5]), PAPER_DEN, 0.5 * PERIOD_S), PERIOD_S)
+    u = prbs(6001, 12, np.random.default_rng(1))
+    y = half.simulate(u)
+    y = y + 0.003 * y.std() * np.random.default_rng(2).standard_normal(6001)
+    found = identify(u, y, PERIOD_S)
+    assert not found.residuals.from_input.passed
+    assert Kind.DEAD_TIME not in {finding.kind for finding in found.findings}
 
 
 def test_records_of_different_rigs_are_refused() -> None:

@@ -62,6 +62,20 @@ def test_results_of_the_same_plant_are_replaced_and_other_files_stay(tmp_path: P
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
+def test_different_results_of_an_earlier_design_are_kept(tmp_path: Path) -> None:
+    design = plain_design()
+    assert write_design(design, tmp_path).earlier is None
+    assert write_design(design, tmp_path).earlier is None, "the same design again"
+    without_tlc = replace(design, candidates=design.candidates[:-1], measures=design.measures[:-1])
+    assert write_design(without_tlc, tmp_path).earlier == tmp_path / "earlier-1"
+    assert (tmp_path / "earlier-1" / "tlc.json").exists()
+    assert (tmp_path / "earlier-1" / "report.html").exists()
+    assert not (tmp_path / "tlc.json").exists()
+    assert write_design(design, tmp_path).earlier == tmp_path / "earlier-2"
+    assert write_design(without_tlc, tmp_path, keeps_earlier=False).earlier is None
+    assert not (tmp_path / "earlier-3").exists()
+
+
 def test_a_folder_with_other_results_is_refused(tmp_path: Path) -> None:
     (tmp_path / "zn.json").write_text("mine")
     with pytest.raises(HilError, match=r"contains zn.json, which no design has written; it is left as it is"):

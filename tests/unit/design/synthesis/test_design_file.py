@@ -74,14 +74,14 @@ def test_a_specification_that_is_left_out_has_no_limit() -> None:
 
 def test_every_quantity_can_be_specified() -> None:
     lines = [
-        f"{name} = {{ limit = 3.0, {'up_to_rad_s' if name == 'gain_db' else 'step'} = 0.5 }}"
+        f"{name} = {{ limit = 0.75, {'up_to_rad_s' if name == 'gain_db' else 'step'} = 0.5 }}"
         if quantity.takes
-        else f"{name} = 3.0"
+        else f"{name} = 0.75"
         for name, quantity in QUANTITIES.items()
     ]
     requested = read_design("\n".join(["[specifications]", *lines]), "d.toml").specifications.requested()
     assert {s.quantity for s in requested} == set(QUANTITIES)
-    assert all(s.limit == 3.0 and s.at == (0.5 if s.kind.takes else 1.0) for s in requested)
+    assert all(s.limit == 0.75 and s.at == (0.5 if s.kind.takes else 1.0) for s in requested)
 
 
 def test_a_continuous_design_keeps_the_sampling_of_the_rig_for_comparison() -> None:
@@ -271,3 +271,16 @@ def test_an_unknown_parameter_or_structure_is_refused_with_those_that_exist() ->
         ).controller_structure()
     with pytest.raises(DocumentError, match=r"'pidd': not one of p, pi, pd, pid, .*free"):
         read_design('[controller]\nstructure = "pidd"\n', "d").controller_structure()
+
+
+@pytest.mark.parametrize("key", ["overshoot", "error"])
+def test_a_share_in_per_cent_is_refused_with_the_share_that_is_meant(key: str) -> None:
+    complaint = rf"specifications\.{key} is 5, limit 1: .*; for 5 %, write 0\.05"
+    with pytest.raises(DocumentError, match=complaint):
+        read_design(f"[specifications]\n{key} = 5\n", "d.toml")
+    assert getattr(read_design(f"[specifications]\n{key} = 1.0\n", "d.toml").specifications, key) == 1.0
+
+
+def test_a_mistyped_structure_gets_a_hint() -> None:
+    with pytest.raises(DocumentError, match=r"did you mean lead-lag\? Name a class"):
+        DesignFile().with_structure("leadlag").controller_structure()

@@ -54,6 +54,7 @@ def test_the_forms_name_every_event() -> None:
         ("payload", "not an event; the forms are: payload:KG@S, "),
         ("payload:3", "not an event; the forms are: payload:KG@S, "),
         ("payload:@3", "not an event"),
+        ("paylod:3@2", "not an event; did you mean payload? The forms are: payload:KG@S, "),
         ("payload:3@-1", "at_s is -1.0, but must be at least 0.0"),
         ("payload:3@soon", "not an event"),
         ("elephant:3@2", "not an event"),

@@ -13,7 +13,7 @@ from hil.core.errors import DocumentError
 LEAK = Leak(at_s=0, axis="vertical", chamber=1, conductance_m3_s_pa=1e-8)
 EXAMPLES: list[tuple[str, AnyFault]] = [
     ("lose:sample,5@2", Lose("sample", 5, at_s=2.0)),
-    ("lose:sample,100%@0", Lose("sample")),
+    ("lose:sample@0", Lose("sample")),
     ("late:command,0.02,12.5%@1.5/0.25", Late("command", 0.02, "12.5%", at_s=1.5, for_s=0.25)),
     ("miscount:sample,-1,1@running", Miscount("sample", -1, 1, when="running")),
     ("hang:adc@vertical>0.05+0.5", Hang("adc", when="vertical>0.05", at_s=0.5)),
@@ -47,7 +47,7 @@ def test_values_that_may_be_omitted_have_defaults() -> None:
         ("bus-off:now@1", "bus-off takes no values; 'now' has 1"),
         ("late:sample,-1@1", "delay_s"),
         ("lose:sample@1/0", "for_s"),
-        ("alter:sync@1", "frame is 'sync'"),
+        ("alter:sync@1", "frame is 'sync', but must be 'command' or 'sample'"),
         ("payload:500@1", "mass_kg"),
     ],
 )

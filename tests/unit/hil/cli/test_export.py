@@ -112,6 +112,8 @@ class TestImport:
         error = capsys.readouterr().err
         assert "refused    back.mcap: was imported from run.log" in error
         assert "cannot be verified" in error
+        assert main(["replay", "back.mcap", "--with-controller", "vertical=ppid"]) == 2
+        assert "was imported from a bus log, which has no setpoints" in capsys.readouterr().err
 
     def test_the_recording_is_beside_the_log_by_default(
         self, folder: Path, capsys: pytest.CaptureFixture[str]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import struct
 import sys
+import zlib
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -138,7 +140,7 @@ def test_error_remote_extended_and_fd_frames(tmp_path: Path) -> None:
     log.write_text(
         "(1.000000) can0 20000044#0102030405060708\n(1.000100) can0 710#R\n(1.000200) can0 710#R8\n"
         "(1.000300) can0 12345678#01\n(1.000400) can0 123##100112233445566778899\n\n"
-        "(1.000500000) can0 FFF#\n(1.000600) can0 123#112\n(1.000700) can0 123#001122334455667788\n"
+        "(1.000500000) can0 FFF#\n(1.000600) can0 123#112\n(1.000700) can0 123#001122334455667788\n(1.000800) can0 123#R9\n"
     )
     result, back = imported(log)
     frames = back.frames("received")
@@ -146,8 +148,9 @@ def test_error_remote_extended_and_fd_frames(tmp_path: Path) -> None:
     assert frames.is_error.tolist() == [True, False, False, False]
     assert frames.is_remote.tolist() == [False, True, True, False]
     assert frames.is_extended.tolist() == [False, False, False, True]
+    assert frames.length.tolist() == [8, 0, 8, 1], "a remote frame keeps the length that it asks for"
     assert frames.data[0].tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
-    assert result.unreadable == 4
+    assert result.unreadable == 5
 
 
 def test_a_relative_log_begins_at_zero(tmp_path: Path) -> None:
@@ -233,14 +236,18 @@ def test_imported_valve_commands_count_as_sent(tmp_path: Path) -> None:
     assert back.axis("vertical").running.tolist() == [True]
 
 
-def test_mf4_is_read_also_when_python_can_was_imported_without_asammdf(
+def test_a_crash_of_the_library_is_a_damaged_file(
     run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """asammdf imports python-can, which then finds asammdf half imported."""
     log = tmp_path / "run.mf4"
     export(run, log, Format.MF4_BUS, Selection())
-    monkeypatch.setattr("can.io.mf4.asammdf", None)
-    assert imported(log)[0].received == len(run.frames("received"))
+    interpreter, crash = sys.executable, tmp_path / "crash.py"
+    crash.write_text("import os\nos.write(1, bytes(30))\nos.abort()\n")
+    monkeypatch.setattr("sys.executable", str(tmp_path / "python"))
+    (tmp_path / "python").write_text(f"#!/bin/sh\nexec {interpreter} {crash}\n")
+    (tmp_path / "python").chmod(0o755)
+    with pytest.raises(RecordingError, match="damaged, or not MF4: the library that reads it crashed"):
+        imported(log)
 
 
 def test_mf4_without_asammdf_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -248,6 +255,22 @@ def test_mf4_without_asammdf_names_the_remedy(tmp_path: Path, monkeypatch: pytes
     log.write_bytes(b"MDF     4.10    " + bytes(100))
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with pytest.raises(EnvironmentLackError, match=r"pip install 'pneumatic-hil\[mf4\]'"):
+        imported(log)
+
+
+def test_a_container_that_inflates_to_gigabytes_is_refused(tmp_path: Path) -> None:
+    """100 kB would become 100 MB here; nothing stops a log from stating more."""
+    bomb = zlib.compress(bytes(100_000_000), 9)
+    container = struct.pack("<H6xL4x", 2, 1000) + bomb
+    log = tmp_path / "bomb.blf"
+    with can.BLFWriter(log) as writer:
+        writer.on_message_received(can.Message(timestamp=1e9, arbitration_id=0x190))
+    place = log.stat().st_size
+    place += place % 4
+    with log.open("ab") as file:
+        file.write(bytes(place - file.tell()))
+        file.write(struct.pack("<4sHHLL", b"LOBJ", 16, 1, 16 + len(container), 10) + container)
+    with pytest.raises(RecordingError, match=r"container at byte \d+ inflates to more than the limit 32 MiB"):
         imported(log)
 
 

@@ -135,7 +135,7 @@ def test_columns_carry_their_units(run: Recording) -> None:
     ("selection", "message"),
     [
         (Selection(("vertcal",)), "no axis 'vertcal'; .*did you mean vertical"),
-        (Selection(from_s=90.0), r"has no periods from 90 s to the end; its periods are from 0 to 2\.\d+ s"),
+        (Selection(from_s=90.0), r"has no periods from 90 s to the end; it lasts from 0 to 2\.\d+ s"),
         (Selection(to_s=-1.0), "has no periods from the begin to -1 s"),
     ],
 )

@@ -10,7 +10,15 @@ import pytest
 
 from hil.host.realtime_rights import FIFO_PRIORITY, Rights, real_time_rights
 
-NAMES = ["garbage collector", "timer slack", "processor sleep", "memory lock", "SCHED_FIFO", "processor"]
+NAMES = [
+    "garbage collector",
+    "timer slack",
+    "processor sleep",
+    "memory lock",
+    "SCHED_FIFO",
+    "processor",
+    "polling",
+]
 
 
 def state() -> dict[str, object]:
@@ -34,7 +42,7 @@ def is_granted(rights: Rights, name: str) -> bool:
 
 def test_the_report_agrees_with_the_kernel() -> None:
     before = state()
-    with real_time_rights() as rights:
+    with real_time_rights(0.0002) as rights:
         during = state()
     assert [right.name for right in rights] == NAMES
     assert is_granted(rights, "garbage collector")
@@ -44,6 +52,10 @@ def test_the_report_agrees_with_the_kernel() -> None:
     assert (during["policy"] == os.SCHED_FIFO) == is_granted(rights, "SCHED_FIFO")
     assert (during["priority"] == FIFO_PRIORITY) == is_granted(rights, "SCHED_FIFO")
     assert during["is memory locked"] == is_granted(rights, "memory lock")
+    assert is_granted(rights, "polling") == (
+        is_granted(rights, "SCHED_FIFO") and len(os.sched_getaffinity(0)) > 1
+    )
+    assert rights.poll_ns == (200_000 if is_granted(rights, "polling") else 0)
     if is_granted(rights, "processor"):
         assert isinstance(during["processors"], set)
         assert len(during["processors"]) == 1
@@ -71,15 +83,47 @@ def test_a_refusal_is_reported_with_its_reason_and_raises_no_error(monkeypatch: 
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     processors = os.sched_getaffinity(0)
-    with real_time_rights() as rights:
+    with real_time_rights(0.0002) as rights:
         assert os.sched_getaffinity(0) == processors, "without priority, the thread is not bound"
     reported = rights.as_metadata()
     assert list(reported) == NAMES
     assert reported["SCHED_FIFO"] == "refused: Operation not permitted"
     assert reported["processor"] == "refused: not useful without SCHED_FIFO"
+    assert reported["polling"] == "refused: not useful without SCHED_FIFO"
+    assert rights.poll_ns == 0
     assert reported["garbage collector"] == "granted: frozen and off"
     assert "refused: " in str(rights)
     assert "SCHED_FIFO (Operation not permitted)" in str(rights).partition("refused: ")[2]
+
+
+class TestPolling:
+    @pytest.fixture
+    def scheduler(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A machine that grants SCHED_FIFO on two processors."""
+        monkeypatch.setattr(os, "sched_getscheduler", lambda _pid: os.SCHED_FIFO)
+        monkeypatch.setattr(os, "sched_setscheduler", lambda *_arguments: None)
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: {0, 1})
+        monkeypatch.setattr(os, "sched_setaffinity", lambda *_arguments: None)
+
+    @pytest.mark.usefixtures("scheduler")
+    def test_it_is_granted_with_priority_and_a_second_processor(self) -> None:
+        with real_time_rights(0.00015) as rights:
+            assert rights.as_metadata()["polling"] == "granted: 150 us before each deadline"
+            assert rights.poll_ns == 150_000
+
+    @pytest.mark.usefixtures("scheduler")
+    def test_the_rig_file_turns_it_off(self) -> None:
+        with real_time_rights(0.0) as rights:
+            reason = "turned off (rig: loop.poll_before_deadline_s)"
+            assert rights.as_metadata()["polling"] == f"refused: {reason}"
+            assert rights.poll_ns == 0
+
+    @pytest.mark.usefixtures("scheduler")
+    def test_it_is_refused_on_a_single_processor(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: {0})
+        with real_time_rights(0.00015) as rights:
+            assert rights.as_metadata()["polling"] == "refused: needs more than one processor"
+            assert rights.poll_ns == 0
 
 
 def test_under_a_limit_that_would_kill_a_busy_loop_priority_is_not_taken() -> None:

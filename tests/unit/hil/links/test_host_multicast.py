@@ -6,8 +6,11 @@ import sys
 from collections.abc import Iterator
 
 import can
+import msgpack
 import pytest
+from can.interfaces.udp_multicast.utils import pack_message
 from support.link_contract import (
+    KINDS,
     STRANGE_DATAGRAM,
     ErrorFrameContract,
     LinkContract,
@@ -19,6 +22,8 @@ from support.link_contract import (
 
 from hil.core.frames import Frame
 from hil.links import open_link
+from hil.links.host_multicast import HostMulticastBus
+from hil.links.messages import frame_of
 
 
 class TestUdp(LinkContract, ErrorFrameContract):
@@ -58,12 +63,39 @@ class TestUdp(LinkContract, ErrorFrameContract):
         assert arrived(receiver) == Frame(0x42)
         assert (receiver.unreadable, receiver.dropped()) == (5, 0)
 
-    def test_can_fd_frames_are_counted_and_discarded(self, pair: Pair) -> None:
+    def test_can_fd_frames_are_counted_and_discarded(self, pair: Pair, port: int) -> None:
         sender, receiver = pair
-        sender._open_bus().send(can.Message(arbitration_id=1, is_fd=True, data=bytes(64)))
+        with HostMulticastBus(port) as bus:
+            bus.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(64)))
         sender.send(Frame(0x42))
         assert arrived(receiver) == Frame(0x42)
         assert (receiver.unreadable, receiver.dropped()) == (1, 0)
+
+    def test_python_can_reads_what_a_link_sends_and_a_link_what_python_can_sends(
+        self, pair: Pair, port: int
+    ) -> None:
+        sender, receiver = pair
+        with HostMulticastBus(port) as bus:
+            for frame in KINDS:
+                sender.send(frame)
+                message = bus.recv(5)
+                assert message is not None
+                assert frame_of(message) == frame
+                arrived(receiver)
+                bus.send(message)
+                assert bus.recv(5) is not None, "multicast delivers own messages too"
+                assert arrived(receiver) == frame
+
+    @pytest.mark.parametrize("frame", [Frame(0x123, bytes(8)), Frame(0x1ABCDEF0, b"\1", is_extended=True)])
+    def test_a_datagram_has_the_bytes_of_python_can(self, pair: Pair, port: int, frame: Frame) -> None:
+        with HostMulticastBus(port) as bus:
+            pair[0].send(frame)
+            datagram = bus.socket.recv(9000)
+        (name,) = {value for value in msgpack.unpackb(datagram).values() if isinstance(value, str)}
+        message = can.Message(
+            arbitration_id=frame.id, data=frame.data, is_extended_id=frame.is_extended, channel=name
+        )
+        assert datagram == pack_message(message)
 
     def test_ports_separate_buses(self, pair: Pair) -> None:
         with open_link(f"udp:{free_port()}") as other_bus:

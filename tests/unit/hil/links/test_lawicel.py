@@ -67,7 +67,7 @@ class TestSlcan(LinkContract):
         sender, receiver = pair
         adapters.pause()
         number = 0
-        while not sender._bus._unsent:  # type: ignore[union-attr]
+        while not sender._port.bus._unsent:  # type: ignore[union-attr]
             failures = sender.send_failures
             while sender.send_failures == failures:
                 sender.send(Frame(0x100, bytes(number % 8)))  # varying lengths fill the line within a frame
@@ -80,7 +80,7 @@ class TestSlcan(LinkContract):
         last = Frame(0x100, bytes((number - 2) % 8))
         assert sender.receive(0) is None
         assert arrived(receiver) == last
-        assert not sender._bus._unsent  # type: ignore[union-attr]
+        assert not sender._port.bus._unsent  # type: ignore[union-attr]
 
     def test_noise_is_counted_and_discarded(self, pair: Pair, adapters: TwoAdapters) -> None:
         _, receiver = pair

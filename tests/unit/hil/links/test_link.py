@@ -9,6 +9,7 @@ from support.link_contract import ErrorFrameContract, LinkContract, Pair
 from hil.core.frames import Frame
 from hil.links import Link, open_link
 from hil.links.link import MAX_DISCARDED_AFTER_TIMEOUT
+from hil.links.ports import MessagePort
 
 
 class TestInProcess(LinkContract, ErrorFrameContract):
@@ -56,9 +57,7 @@ class TestDiscarded:
     def link_to(self, monkeypatch: pytest.MonkeyPatch) -> Callable[[BusyBus], Link]:
         def open_bus(bus: BusyBus) -> Link:
             monkeypatch.setattr("hil.links.link.time.monotonic", lambda: bus.now_s)
-            link = Link("test", bus, "user")  # type: ignore[arg-type]
-            link._name = OWN
-            return link
+            return Link("test", MessagePort(bus, OWN), "user")  # type: ignore[arg-type]
 
         return open_bus
 
@@ -103,6 +102,6 @@ def test_a_frame_that_arrives_during_a_stall_is_received(monkeypatch: pytest.Mon
     bus.recv = recv  # type: ignore[method-assign]
     monkeypatch.setattr("hil.links.link.time.monotonic", lambda: bus.now_s)
     monkeypatch.setattr("hil.links.link.select.select", lambda *_: None)
-    received = Link("test", bus, "user").receive(0.011)  # type: ignore[arg-type]
+    received = Link("test", MessagePort(bus, OWN), "user").receive(0.011)  # type: ignore[arg-type]
     assert received is not None
     assert received.frame == Frame(2, is_extended=True)

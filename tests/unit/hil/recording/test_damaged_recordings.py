@@ -336,8 +336,13 @@ class TestOtherWriters:
 
     def test_an_end_that_another_program_removed_is_noticed(self, path: Path, tmp_path: Path) -> None:
         copy = rewritten(path, tmp_path / "copy.mcap", {}, keep=lambda _, sequence: sequence < 500)
-        with pytest.raises(RecordingError, match=r"\d+ messages after the last one were removed by another"):
-            list(Recording(copy).entries())
+        opened = Recording(copy)
+        assert len(list(opened.entries())) == 499
+        with pytest.raises(
+            RecordingError, match=r"\d+ messages were removed by another program: the recorder"
+        ):
+            opened.check_count()
+        Recording(path).check_count()
 
 
 class TestWhatIsRecorded:

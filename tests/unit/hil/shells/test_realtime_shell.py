@@ -41,8 +41,10 @@ MAX_REFUSED = 5
 class Clock:
     def __init__(self) -> None:
         self.now_ns = 5_000_000_000
+        self.reading_takes_ns = 0
 
     def __call__(self) -> int:
+        self.now_ns += self.reading_takes_ns
         return self.now_ns
 
     def sleep(self, duration_s: float) -> None:
@@ -57,6 +59,9 @@ class LinkToBoards:
         self._clock = clock
         self._waiting: deque[tuple[int, Frame]] = deque()
         self.send_takes_ns = 0
+        self.latency_ns = LATENCY_NS
+        self.stall_while_polling_ns: dict[int, int] = {}
+        """Time jumps: after which number of SYNC frames a look at the link takes longer, by how much."""
         self.fails_after_sent: int | None = None
         self.fails_after_received: int | None = None
         self.stall_ns: dict[int, int] = {}
@@ -107,11 +112,14 @@ class LinkToBoards:
             self._clock.now_ns = max(self._clock.now_ns, arrival_ns)
             self.received += 1
             return Received(frame, arrival_ns, "kernel")
+        if timeout_s == 0.0:
+            self._clock.now_ns += self.stall_while_polling_ns.pop(self.syncs, 0)
+            return None
         self._clock.now_ns = end_ns + (self.wakes_late_ns.pop(self.syncs, 0) if timeout_s > 0 else 0)
         return None
 
     def _push(self, frames: tuple[Frame, ...]) -> None:
-        self._waiting.extend((self._clock.now_ns + LATENCY_NS, frame) for frame in frames)
+        self._waiting.extend((self._clock.now_ns + self.latency_ns, frame) for frame in frames)
 
 
 class Listener:
@@ -147,9 +155,10 @@ class Bench:
             self.gateway, self.plan, self.link.send, clock, self._recorder, self.observer, MAX_REFUSED
         )
         self.error: Exception | None = None
+        self.poll_ns = 0
 
     def run(self) -> Recording:
-        self.error = realtime.run(self.session, self.link, self.stop)  # type: ignore[arg-type]
+        self.error = realtime.run(self.session, self.link, self.stop, poll_ns=self.poll_ns)  # type: ignore[arg-type]
         assert self._recorder.close({}).failure is None
         return Recording(self.path)
 
@@ -249,6 +258,71 @@ def test_a_babbling_bus_does_not_delay_a_deadline(bench: Bench) -> None:
     assert received[49] == realtime.MAX_WAITING_FRAMES
     assert sum(received[49:52]) > 3 * realtime.MAX_WAITING_FRAMES
     assert verify(recording).frames_compared == bench.link.sent
+
+
+class TestPolling:
+    """Shortly before a deadline, the loop polls the clock and the link instead of sleeping."""
+
+    POLL_NS = 150_000
+    READING_NS = 1_000
+
+    @pytest.fixture
+    def polling_bench(self, bench: Bench) -> Bench:
+        bench.poll_ns = self.POLL_NS
+        bench.clock.reading_takes_ns = self.READING_NS
+        return bench
+
+    def lateness_ns(self, recording: Recording) -> np.ndarray:
+        timing = recording.timing()
+        lateness: np.ndarray = timing["wake_ns"] - timing["deadline_ns"]
+        return lateness
+
+    def test_late_wake_ups_within_the_polling_time_make_no_late_sync(self, polling_bench: Bench) -> None:
+        polling_bench.link.wakes_late_ns = dict.fromkeys(range(1000), self.POLL_NS - 10_000)
+        recording = polling_bench.run()
+        assert polling_bench.plan.ending is Ending.COMPLETED
+        assert self.lateness_ns(recording).min() >= 0
+        assert self.lateness_ns(recording).max() <= self.READING_NS
+        assert verify(recording).frames_compared == polling_bench.link.sent
+
+    def test_a_wake_up_that_is_later_is_served_at_once(self, polling_bench: Bench) -> None:
+        polling_bench.link.wakes_late_ns = {50: self.POLL_NS + 300_000}
+        recording = polling_bench.run()
+        assert polling_bench.plan.ending is Ending.COMPLETED
+        assert sorted(self.lateness_ns(recording))[-2] <= self.READING_NS
+        assert 0 <= self.lateness_ns(recording).max() - 300_000 <= 4 * self.READING_NS
+
+    def test_a_frame_that_arrives_while_polling_is_served_before_the_deadline(
+        self, polling_bench: Bench
+    ) -> None:
+        arrives_before_ns = 60_000
+        polling_bench.link.latency_ns = PERIOD_NS - arrives_before_ns
+        recording = polling_bench.run()
+        assert polling_bench.plan.ending is Ending.COMPLETED
+        timing = recording.timing()
+        left_ns = (timing["deadline_ns"] + PERIOD_NS - timing["receive_ns"])[timing["fresh"]]
+        assert left_ns.min() > 0
+        assert left_ns.max() <= arrives_before_ns
+        assert sum(timing["fresh"]) > 50
+        assert verify(recording).frames_compared == polling_bench.link.sent
+
+    def test_after_a_stall_while_polling_frames_that_wait_are_read_first(self, polling_bench: Bench) -> None:
+        polling_bench.link.stall_while_polling_ns = {50: 3_000_000}
+        polling_bench.link.latency_ns = PERIOD_NS - 20_000
+        recording = polling_bench.run()
+        assert polling_bench.plan.ending is Ending.COMPLETED
+        assert self.lateness_ns(recording).max() > 2_500_000
+        calls = [call for call in recording.entries() if isinstance(call, FrameReceived | DeadlineCalled)]
+        late = next(
+            place
+            for place, call in enumerate(calls)
+            if isinstance(call, DeadlineCalled) and call.now_ns - call.deadline_ns > 2_500_000
+        )
+        waited = calls[late - 1]
+        assert isinstance(waited, FrameReceived)
+        assert waited.frame.id == codec.TPDO1_ADC
+        assert waited.now_ns <= calls[late].now_ns
+        assert verify(recording).frames_compared == polling_bench.link.sent
 
 
 @pytest.mark.parametrize("at", range(100, 106))

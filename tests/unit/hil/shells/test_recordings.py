@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from hil.recording.no_recorder import NoRecorder
 from hil.recording.reader import Recording
 from hil.shells.recordings import RotationLimits
 from hil.shells.replay import setup_of, verify
-from hil.shells.run_setup import SHIPPED_CONTROLLERS
+from hil.shells.run_setup import SHIPPED, SHIPPED_CONTROLLERS
 from hil.shells.session import Session
 
 WHO = "uid 1000"
@@ -43,6 +44,25 @@ def operate(run: OperatedRun) -> None:
     run.close()
 
 
+PROTECTED_RIG = (
+    re.sub(r"(?m)^# (?=read_back)", "", (SHIPPED / "rig.toml").read_text())
+    + """
+[emergency_stop]
+frame = 0x290
+byte = 0
+bit = 0
+timeout_s = 0.05
+
+[enable]
+frame = 0x290
+byte = 0
+bit = 1
+timeout_s = 0.05
+"""
+)
+"""The shipped rig file with every protection by hardware."""
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("whole") / "run.mcap"
@@ -65,6 +85,17 @@ def test_every_file_is_complete_and_verified_alone(parts: list[Recording]) -> No
         report = verify(part)
         assert report.complete
         assert report.frames_compared > 3
+
+
+def test_the_state_of_every_protection_is_carried_over(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(PROTECTED_RIG)
+    (tmp_path / "runs").mkdir()
+    operate(OperatedRun(tmp_path / "runs" / "run.mcap", SETPOINTS, RotationLimits(max_s=0.25), rig))
+    files = list((tmp_path / "runs").iterdir())
+    assert len(files) > 7
+    for file in files:
+        assert verify(Recording(file)).complete
 
 
 def test_some_files_begin_while_an_axis_moves(parts: list[Recording]) -> None:

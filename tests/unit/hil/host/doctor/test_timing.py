@@ -109,3 +109,18 @@ def test_wake_ups_are_measured_from_absolute_deadlines(monkeypatch: pytest.Monke
     monkeypatch.setattr(timing, "select", wait)
     assert timing.wake_up_lateness_ns() == [300_000] * timing.WAKE_UPS
     assert clock.now_ns == timing.WAKE_UPS * timing.PERIOD_NS + 300_000
+
+
+def test_wake_ups_within_the_polling_time_are_not_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(now_ns=0)
+
+    def now() -> int:
+        clock.now_ns += 500  # reading the clock takes time
+        return int(clock.now_ns)
+
+    def wait(_read: object, _write: object, _error: object, timeout_s: float) -> None:
+        clock.now_ns += round(timeout_s * 1e9) + 100_000
+
+    monkeypatch.setattr(time, "monotonic_ns", now)
+    monkeypatch.setattr(timing, "select", wait)
+    assert max(timing.wake_up_lateness_ns(150_000)) <= 500

@@ -1,0 +1,64 @@
+"""Runs the cases of a campaign in processes. The results come in the order of the cases."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Final
+
+from hil.campaigns.campaign_file import Campaign, case_count
+from hil.campaigns.case import CaseResult, run_case
+from hil.core.errors import HilError
+
+CASES_AT_ONCE: Final = 8
+"""Number of cases that a process is given at once."""
+_WAITING_PER_WORKER: Final = 4
+"""Number of groups of cases that wait for each process, so that none is idle."""
+
+
+def default_workers() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def run_cases(campaign: Campaign, first: int, workers: int) -> Iterator[list[CaseResult]]:
+    """Yield the results of the cases from ``first`` on, in groups and in order.
+
+    With one worker, the cases run in this process. Raises the HilError of a case that cannot run, and
+    HilError if a process ends.
+    """
+    groups = _groups(first, case_count(campaign))
+    if workers == 1:
+        for start, stop in groups:
+            yield run_group(campaign, start, stop)
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        waiting: deque[Future[list[CaseResult]]] = deque()
+        try:
+            for start, stop in groups:
+                waiting.append(pool.submit(run_group, campaign, start, stop))
+                if len(waiting) >= workers * _WAITING_PER_WORKER:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        except BrokenProcessPool:
+            raise HilError(
+                "a process of the campaign ended, perhaps for lack of memory; run the same command again to "
+                "go on after the last result"
+            ) from None
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def run_group(campaign: Campaign, start: int, stop: int) -> list[CaseResult]:
+    """Run the cases from ``start`` to before ``stop``."""
+    return [run_case(campaign, number) for number in range(start, stop)]
+
+
+def _groups(first: int, count: int) -> Iterator[tuple[int, int]]:
+    for start in range(first, count, CASES_AT_ONCE):
+        yield start, min(start + CASES_AT_ONCE, count)
