@@ -59,6 +59,7 @@ class RecorderPipe:
         self._written_of_first = 0
         self._process = _start_process(path, lossless)
         self._file_id = _file_id(path)
+        """Device and inode of the present file; None for a file that the process has opened later."""
         assert self._process.stdin is not None and self._process.stderr is not None
         self._stdin, self._stderr = self._process.stdin, self._process.stderr
         os.set_blocking(self._stdin.fileno(), False)
@@ -105,6 +106,7 @@ class RecorderPipe:
         self.failure = self.progress = None
         self.dropped.clear()
         self._path = path
+        self._file_id = None
         self.send(block, NEXT)
         return True
 
@@ -142,9 +144,14 @@ class RecorderPipe:
             self._fail(f"the recorder process did not end within {TIMEOUT_S:g} s and was killed")
         elif status != 0:
             self._fail(self._reason_of_end())
-        elif _file_id(self._path) != self._file_id:
+        elif not self._is_in_place():
             self._fail("the file was removed or replaced while it was written")
         self._stderr.close()
+
+    def _is_in_place(self) -> bool:
+        """Return whether the present file still has its name."""
+        found = _file_id(self._path)
+        return found is not None and self._file_id in (None, found)
 
     def _drop(self, block: bytearray) -> None:
         kind, _ = BLOCK_HEADER.unpack_from(block)
