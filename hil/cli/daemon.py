@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from firmware_sim.plant_options import add_plant_options, check_plant_options
-from firmware_sim.simulated_plant import plant_texts
+from firmware_sim.simulated_plant import plant_texts, refuse_host_faults
 from hil.cli.axis_values import by_axis
 from hil.cli.operate import add_socket_option, duration
 from hil.cli.run import chosen_bus, given_scenario, read_setup
@@ -125,6 +125,7 @@ def main(argv: list[str]) -> int:
     setup = read_setup(options, scenario, scenario_text)
     bus = chosen_bus(options, setup)
     if bus == SIMULATED:
+        refuse_host_faults(options)
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
     from hil.cli.daemon_run import run_daemon
 

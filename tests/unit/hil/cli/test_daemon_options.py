@@ -76,6 +76,7 @@ def test_a_scenario_gives_setpoints(started: list[tuple[RunSetup, str]]) -> None
         (["--rig", "nosuch.toml"], "nosuch.toml"),
         (["--bus", "vcan0", "--linear"], "--linear chooses what"),
         (["--setpoint", "elbow=hold"], "elbow"),
+        (["--fault", "stall:0.1@1"], "in simulated time only"),
         (["--no-record", "--keep", "3"], "--no-record records nothing"),
     ],
 )

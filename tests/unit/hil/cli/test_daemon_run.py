@@ -49,7 +49,7 @@ class DaemonThread:
 
 @pytest.fixture(autouse=True)
 def without_rights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(daemon_run, "real_time_rights", lambda: contextlib.nullcontext(Rights(())))
+    monkeypatch.setattr(daemon_run, "real_time_rights", lambda _s: contextlib.nullcontext(Rights(())))
     monkeypatch.chdir(tmp_path)
 
 
@@ -63,9 +63,13 @@ def test_a_daemon_on_the_simulated_arm(tmp_path: Path) -> None:
         assert client.event("payload:3") == "event payload:3 happens now"
         client.set_setpoint("vertical", 0.02)
         client.record_new()
+        later = client.status().period + 3
+        assert next(look for look in client.watch(0.05) if look.period >= later).recording == "run-2.mcap"
         client.record_stop()
         assert client.status().recording is None
         client.record_new()
+        later = client.status().period + 3
+        next(look for look in client.watch(0.05) if look.period >= later)
         client.stop()
         assert "closes the recording" in client.shutdown()
     assert daemon.end() == 0
