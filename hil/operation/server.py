@@ -100,7 +100,7 @@ class Server:
         for writer in self._writers:
             writer.transport.abort()
         if self._tasks:
-            await asyncio.wait(self._tasks)
+            await asyncio.wait(self._tasks, timeout=LAST_ANSWERS_S)
 
     # The loop's side
 

@@ -17,8 +17,8 @@ from hil.core.errors import OperationError
 
 FOLDER = "hil"
 NAME = "daemon.sock"
-MAX_PATH_BYTES = 107
-"""Longest path of a Unix-domain socket on Linux (unix(7))."""
+MAX_PATH_BYTES = 106
+"""Longest path: a Unix-domain socket of Linux may have 107 (unix(7)), and one is for the hidden name."""
 BACKLOG = 16
 """Number of connections that may wait until they are accepted."""
 
@@ -63,15 +63,17 @@ def _listen(path: Path, stack: contextlib.ExitStack) -> socket.socket:
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     lock = stack.enter_context(path.with_name(f"{path.name}.lock").open("w"))
     _lock(lock.fileno(), path)
-    path.unlink(missing_ok=True)
+    hidden = path.with_name(f"{path.name}~")
+    hidden.unlink(missing_ok=True)
     listener = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
     mask = os.umask(0o177)  # the file never exists with wider rights
     try:
-        listener.bind(os.fspath(path))
+        listener.bind(os.fspath(hidden))
     finally:
         os.umask(mask)
-    stack.callback(path.unlink, missing_ok=True)
     listener.listen(BACKLOG)
+    stack.callback(path.unlink, missing_ok=True)
+    hidden.replace(path)  # who waits for the file can connect as soon as it is there
     return listener
 
 

@@ -64,12 +64,16 @@ def operated_loop(path: Path, socket_path: Path, drive: Callable[[Client], list[
     """Run a daemon under a client. Return the times at which steps were asked for, in monotonic ns."""
     command = [*HIL, "daemon", "--socket", str(socket_path), "--record", str(path)]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as daemon:
-        with ready_client(socket_path) as client:
-            client.arm()
-            client.start()
-            asked_ns = drive(client)
-            client.stop()
-            client.shutdown()
+        try:
+            with ready_client(socket_path) as client:
+                client.arm()
+                client.start()
+                asked_ns = drive(client)
+                client.stop()
+                client.shutdown()
+        except BaseException:
+            daemon.kill()
+            raise
         assert daemon.wait() == 0
     return asked_ns
 
