@@ -58,7 +58,6 @@ class RecorderPipe:
         self._backlog_bytes = 0
         self._written_of_first = 0
         self._process = _start_process(path, lossless)
-        self._file_id = _file_id(path)
         assert self._process.stdin is not None and self._process.stderr is not None
         self._stdin, self._stderr = self._process.stdin, self._process.stderr
         os.set_blocking(self._stdin.fileno(), False)
@@ -142,8 +141,6 @@ class RecorderPipe:
             self._fail(f"the recorder process did not end within {TIMEOUT_S:g} s and was killed")
         elif status != 0:
             self._fail(self._reason_of_end())
-        elif _file_id(self._path) != self._file_id:
-            self._fail("the file was removed or replaced while it was written")
         self._stderr.close()
 
     def _drop(self, block: bytearray) -> None:
@@ -175,15 +172,6 @@ class RecorderPipe:
         return reasons[-1].removeprefix(FAILED) if reasons else "the recorder process was killed"
 
 
-def _file_id(path: Path) -> tuple[int, int] | None:
-    """Return device and inode of the file that ``path`` names; None if there is none."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
-
-
 def _start_process(path: Path, lossless: bool) -> subprocess.Popen[bytes]:
     """Start the process with ``path`` as its stdout. Raises RecordingError."""
     try:
@@ -196,7 +184,7 @@ def _start_process(path: Path, lossless: bool) -> subprocess.Popen[bytes]:
         raise RecordingError(f"{path}: cannot be created: {error.strerror}") from None
     try:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", PROCESS_MODULE, LOSSLESS if lossless else REAL_TIME],
+            [sys.executable, "-P", "-m", PROCESS_MODULE, LOSSLESS if lossless else REAL_TIME, str(path)],
             stdin=subprocess.PIPE,
             stdout=file,
             stderr=subprocess.PIPE,
