@@ -414,6 +414,16 @@ class TestFurtherFiles:
         assert not Recording(tmp_path / "first.mcap").complete
         assert len(Recording(tmp_path / "second.mcap").timing()) == 20
 
+    def test_a_further_file_that_is_replaced_while_it_is_written_is_reported(self, tmp_path: Path) -> None:
+        second = tmp_path / "second.mcap"
+        recorder = Recorder(tmp_path / "first.mcap", RUN_HEADER, lossless=True)
+        assert self.begin(recorder, second) is None
+        wait_until(second.exists, "the second file")
+        second.rename(tmp_path / "moved.mcap")
+        second.write_text("mine")
+        assert recorder.close({}).failure == "the file was removed or replaced while it was written"
+        assert second.read_text() == "mine"
+
     def test_the_last_file_that_fails_is_reported(self, tmp_path: Path) -> None:
         recorder = Recorder(tmp_path / "first.mcap", RUN_HEADER, lossless=True)
         assert self.begin(recorder, tmp_path / "none" / "second.mcap") is None
