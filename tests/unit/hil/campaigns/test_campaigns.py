@@ -192,6 +192,7 @@ def test_failed_cases_are_named_with_the_command_that_runs_them_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hil.campaigns.page.PLOTTED_CASES", 2)
     Path("bad.toml").write_text(
         TEXT.replace("max_periods = 6", "max_periods = 1").replace("draws = 2", "draws = 1")
     )
@@ -203,10 +204,10 @@ def test_failed_cases_are_named_with_the_command_that_runs_them_again(
     assert "hil campaign bad.toml --case 0 --record case-0.mcap" in output
     assert "4 cases, 2 failed" in output
     page = Path("campaigns/bad/report.html").read_text()
-    assert page.index("Case 0:") < page.index("Case 2:") < page.index("Case 1:"), "failed cases come first"
+    assert page.index("Case 0:") < page.index("Case 2:"), "failed cases come first"
     assert "hil campaign bad.toml --case 0 --record case-0.mcap" in page
     assert {path.name for path in Path("campaigns/bad/cases").iterdir()} == {
-        f"case-{number}.{suffix}" for number in range(4) for suffix in ("mcap", "png")
+        f"case-{number}.{suffix}" for number in (0, 2) for suffix in ("mcap", "png")
     }
     assert main(["campaign", "bad.toml", "--case", "0", "--record", "case-0.mcap"]) == 1
     assert "centred_after_periods  5" in capsys.readouterr().out
