@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+import os
 from pathlib import Path
 from unittest import mock
 
@@ -226,10 +225,27 @@ def test_an_interrupted_campaign_says_how_to_go_on(
     assert "interrupted after 0 cases; the same command goes on from there" in capsys.readouterr().out
 
 
-def test_a_process_that_ends_is_an_error_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ProcessPoolExecutor, "submit", mock.Mock(side_effect=BrokenProcessPool))
-    with pytest.raises(HilError, match="run the same command again to go on"):
+def end_process(*_arguments: object) -> None:
+    os._exit(3)
+
+
+def test_a_process_that_ends_is_an_error_with_the_remedy() -> None:
+    with (
+        mock.patch.object(runner, "run_group", end_process),
+        pytest.raises(HilError, match="run the same command again to go on"),
+    ):
         list(runner.run_cases(campaign(), 0, 2))
+
+
+def test_the_results_that_wait_are_few_however_many_cases_there_are() -> None:
+    many = campaign(TEXT.replace("draws = 2", "draws = 1000000"))
+    with mock.patch.object(runner, "ProcessPoolExecutor") as pool:
+        results = runner.run_cases(many, 0, 2)
+        submit = pool.return_value.submit
+        assert submit.call_count == 8
+        for number in range(5):
+            next(results)
+            assert submit.call_count == 9 + number
 
 
 def result(number: int, verdict: str = "pass", periods: int | None = 3) -> CaseResult:
