@@ -97,6 +97,7 @@ def parser() -> CommandParser:
     command.add_argument(
         "--yes", action="store_true", help="do not ask before the axes of a bus that may be real move"
     )
+    command.add_argument("--no-plot", action="store_true", help="draw no plot beside the recording")
     add_plant_options(command)
     return command
 
@@ -122,7 +123,7 @@ def main(argv: list[str]) -> int:
     report = _recorded_run(setup, plan, bus, duration_s, options)
     from hil.cli.run_report import print_run_report
 
-    print_run_report(plan.ending, report, scenario)
+    print_run_report(plan.ending, report, scenario, has_plots=not options.no_plot)
     return _exit_status(plan.ending, report)
 
 

@@ -54,7 +54,7 @@ MAY_IMPORT = {
         "hil.views",
         "hil.campaigns",
     },
-    "hil.campaigns": {"hil", "hil.core", "hil.host", "hil.shells", "hil.views"},
+    "hil.campaigns": {"hil", "hil.core", "hil.host", "hil.recording", "hil.shells", "hil.views"},
     "hil.testing": {
         "hil",
         "hil.core",
