@@ -98,6 +98,16 @@ def test_what_is_wrong_is_said_in_one_line_and_leaves_no_file(
     assert sorted(folder.iterdir()) == before
 
 
+def test_a_recording_that_was_cut_off_is_exported_as_far_as_it_goes(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = Path("run.mcap").read_bytes()
+    Path("cut.mcap").write_bytes(content[: len(content) * 2 // 3])
+    assert main(["export", "cut.mcap", "--to", "csv"]) == 0
+    assert "cut.mcap: was cut off, so its end is missing" in capsys.readouterr().err
+    assert 100 < len(pandas.read_csv("cut.csv")) < 306
+
+
 class TestImport:
     def test_a_log_becomes_a_recording_that_cannot_be_verified(
         self, folder: Path, capsys: pytest.CaptureFixture[str]
