@@ -60,8 +60,8 @@ class DirectWriter:
         self.dropped.clear()
         return True
 
-    def close(self) -> None:
-        """Write the file."""
+    def close(self, is_recording: bool) -> None:
+        """Write the file. ``is_recording`` is that of ``RecorderPipe.close``, and has no effect here."""
         try:
             with self._path.open("xb") as file:
                 file.writelines(self._written)

@@ -59,6 +59,7 @@ class RecorderPipe:
         self._written_of_first = 0
         self._process = _start_process(path, lossless)
         self._file_id = _file_id(path)
+        """Device and inode of the file; None for a further file, which the process creates later."""
         assert self._process.stdin is not None and self._process.stderr is not None
         self._stdin, self._stderr = self._process.stdin, self._process.stderr
         os.set_blocking(self._stdin.fileno(), False)
@@ -104,7 +105,7 @@ class RecorderPipe:
         self.read_reports()
         self.failure = self.progress = None
         self.dropped.clear()
-        self._path = path
+        self._path, self._file_id = path, None
         self.send(block, NEXT)
         return True
 
@@ -133,8 +134,11 @@ class RecorderPipe:
                 self._fail(f"the recorder process read nothing for {TIMEOUT_S:g} s and was killed")
             self.push()
 
-    def close(self) -> None:
-        """Write the backlog and wait for the process to end; ``failure`` is set if the file is incomplete."""
+    def close(self, is_recording: bool) -> None:
+        """Write the backlog and wait for the process to end; ``failure`` is set if the file is incomplete.
+
+        Without ``is_recording``, the last file was ended earlier, and its owner may have moved it since.
+        """
         self.drain()
         self._stdin.close()
         status = await_end(self._process, TIMEOUT_S)
@@ -142,8 +146,11 @@ class RecorderPipe:
             self._fail(f"the recorder process did not end within {TIMEOUT_S:g} s and was killed")
         elif status != 0:
             self._fail(self._reason_of_end())
-        elif _file_id(self._path) != self._file_id:
-            self._fail("the file was removed or replaced while it was written")
+        elif is_recording:
+            self.read_reports()
+            found = _file_id(self._path)
+            if found is None or self._file_id not in (None, found):
+                self._fail("the file was removed or replaced while it was written")
         self._stderr.close()
 
     def _drop(self, block: bytearray) -> None:

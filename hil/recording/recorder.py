@@ -278,7 +278,7 @@ class Recorder:
         self._pipe.drain()
         if not self._is_stopped:
             self._end_file(metadata)
-        self._pipe.close()
+        self._pipe.close(is_recording=not self._is_stopped)
         return RecorderReport(
             self._sequence - self.dropped, self._dropped_by_topic(), self._path, self._pipe.failure
         )
