@@ -52,7 +52,7 @@ class DirectWriter:
 
     def next_file(self, path: Path, block: bytearray) -> bool:
         """Write the file, and go on with another one. Always returns True."""
-        self.close()
+        self.close(is_recording=True)
         for name in msgspec.msgpack.decode(block[BLOCK_HEADER.size :], type=NextFile).remove:
             Path(name).unlink(missing_ok=True)
         self._path = path
