@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
 from itertools import islice
 from typing import Final, TypeAlias
 
@@ -39,7 +38,10 @@ def run_cases(campaign: Campaign, first: int, workers: int) -> Iterator[list[Cas
     if workers == 1:
         return (run_group(campaign, start, stop) for start, stop in groups)
     pool = ProcessPoolExecutor(workers, initializer=_ignore_interrupt)
-    submit = partial(pool.submit, run_group, campaign)
+
+    def submit(start: int, stop: int) -> _Group:
+        return pool.submit(run_group, campaign, start, stop)
+
     # All processes are forked here, before the caller shows progress in a thread.
     waiting = deque(submit(*group) for group in islice(groups, workers * _WAITING_PER_WORKER))
     return _in_order(pool, waiting, (submit(*group) for group in groups))
