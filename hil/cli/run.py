@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from firmware_sim.plant_options import add_plant_options, check_plant_options, given_plant_options
 from firmware_sim.simulated_plant import plant_texts
 from hil.cli.axis_values import by_axis
-from hil.cli.confirmation import confirm_motion, is_real
+from hil.cli.confirmation import confirm_motion
 from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.quantities import duration_text
 from hil.cli.record_path import create_folder_of, recording_path
@@ -25,6 +25,7 @@ from hil.core.setpoints import EXAMPLE, FORMS
 from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
 from hil.recording.recorder import RecorderReport
+from hil.shells.real_bus import is_real
 from hil.shells.run_plan import Ending, RunPlan
 from hil.shells.run_setup import RunSetup, load_rig, load_setup, shipped_controllers
 
