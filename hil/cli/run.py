@@ -24,6 +24,7 @@ from hil.core.errors import DocumentError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, FORMS
 from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
+from hil.live.address import add_page_options
 from hil.recording.recorder import RecorderReport
 from hil.shells.run_plan import Ending, RunPlan
 from hil.shells.run_setup import RunSetup, load_rig, load_setup, shipped_controllers
@@ -98,6 +99,7 @@ def parser() -> CommandParser:
         "--yes", action="store_true", help="do not ask before the axes of a bus that may be real move"
     )
     add_plant_options(command)
+    add_page_options(command)
     return command
 
 
@@ -105,6 +107,10 @@ def main(argv: list[str]) -> int:
     """Run ``hil run`` with ``argv``; return its exit status. Raises HilError for wrong arguments or files."""
     options = parser().parse_args(argv)
     check_plant_options(options)
+    if options.live and options.lockstep:
+        raise DocumentError(
+            "--live shows a run in real time; with --lockstep, play the recording: `hil live FILE`"
+        )
     scenario, scenario_text = given_scenario(options)
     setup = read_setup(options, scenario, scenario_text)
     bus = chosen_bus(options, setup)

@@ -15,15 +15,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from time import monotonic_ns
-from typing import TYPE_CHECKING
 
 from hil.core.gateway import Gateway
 from hil.core.output import Cycle, LogEntry
 from hil.host.child_process import await_end
 from hil.live.address import Address
-
-if TYPE_CHECKING:
-    from hil.shells.session import Observer
 
 BATCH_PERIODS = 4
 """Number of periods in one message, 45 ms: a page that is drawn 20 times a second needs no more messages."""
@@ -64,23 +60,6 @@ class RunInformation:
     """Monotonic time of the page's second 0."""
     epoch_offset_ns: int
     """Epoch time minus monotonic time."""
-
-
-class Audience:
-    """Several observers of one run."""
-
-    def __init__(self, *observers: Observer) -> None:
-        self._observers = observers
-
-    def log(self, entry: LogEntry) -> None:
-        """Pass on a log entry."""
-        for observer in self._observers:
-            observer.log(entry)
-
-    def cycle(self, cycle: Cycle, gateway: Gateway) -> None:
-        """Pass on a completed period."""
-        for observer in self._observers:
-            observer.cycle(cycle, gateway)
 
 
 class LiveFeed:

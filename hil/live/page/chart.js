@@ -1,6 +1,7 @@
 "use strict";
 // Charts over a common time axis, drawn by BokehJS.
 
+Bokeh.set_log_level("error");  // an empty chart has no range yet, which BokehJS warns of
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 // Okabe and Ito's colours, which colour-blind people can tell apart; a lighter blue on a dark ground.
 const COLOURS = () => (DARK.matches ? { measured: "#56b4e9", wanted: "#e69f00" } : { measured: "#0072b2", wanted: "#b35900" });
