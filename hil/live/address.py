@@ -79,11 +79,12 @@ def add_address_options(command: argparse._ActionsContainer) -> None:
     )
 
 
-def add_page_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of a command that can show its run on the page."""
+def add_page_options(command: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Add the options of a command that can show its run on the page. Return their group."""
     group = command.add_argument_group("page in the browser")
     group.add_argument("--live", action="store_true", help="show the run on a page in the browser")
     add_address_options(group)
+    return group
 
 
 def check_installed() -> None:

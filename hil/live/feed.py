@@ -72,7 +72,7 @@ class LiveFeed:
         """``operator_socket``: path of the daemon's socket if the page may operate it, else None."""
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            self._process = start_server(address, theirs.fileno(), operator_socket)
+            self._process = start_server(address, feed=theirs.fileno(), operator_socket=operator_socket)
         self._socket.setblocking(False)
         self._pack = struct.Struct(period_format(len(run.axes))).pack
         self._batch = bytearray(PERIODS)
@@ -126,24 +126,31 @@ class LiveFeed:
 
 
 def start_server(
-    address: Address, feed_descriptor: int | None, operator_socket: str | None, recording: str | None = None
+    address: Address,
+    *,
+    feed: int | None = None,
+    watched_socket: str | None = None,
+    recording: str | None = None,
+    operator_socket: str | None = None,
 ) -> subprocess.Popen[bytes]:
     """Start the process that serves the page at ``address``.
 
-    It reads a feed from ``feed_descriptor``, or plays ``recording``.
+    It reads a feed from the descriptor ``feed``, watches the daemon with the socket ``watched_socket``, or
+    plays ``recording``. With ``operator_socket``, the page may operate that daemon.
     """
     options = {
         "listen": address.listener.fileno(),
         "hosts": address.hosts,
         "token": address.token,
-        "feed": feed_descriptor,
+        "feed": feed,
+        "watch": watched_socket,
         "operate": operator_socket,
         "recording": recording,
     }
     read_end, write_end = os.pipe()
     passed = [read_end, address.listener.fileno()]
-    if feed_descriptor is not None:
-        passed.append(feed_descriptor)
+    if feed is not None:
+        passed.append(feed)
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "hil.live.server", str(read_end)],
         pass_fds=passed,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -44,11 +45,10 @@ class History:
             )
             self.end += 1
 
-    def add_rows(self, rows: Rows) -> None:
-        """Add rows of the same columns."""
-        for row in rows[-self._capacity :]:
-            self._rows[self.end % self._capacity] = row
-            self.end += 1
+    def add_row(self, row: Sequence[float]) -> None:
+        """Add a row of the same columns."""
+        self._rows[self.end % self._capacity] = row
+        self.end += 1
 
     def since(self, begin: int) -> Rows:
         """Return the rows from number ``begin`` on, or the oldest ones that the ring still holds."""

@@ -7,12 +7,13 @@ in the options and has the token; a page of another origin is refused (DNS rebin
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import json
 import os
 import socket
 import sys
-from collections import deque
+import threading
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,17 +23,20 @@ from urllib.parse import urlsplit
 import numpy as np
 from tornado import httpserver, ioloop, web, websocket
 
-from hil.live.feed import MESSAGE_BYTES, PERIODS
-from hil.live.history import History, Rows
+from hil.live.feed import MESSAGE_BYTES
+from hil.live.history import Rows
+from hil.live.operator import DaemonOperator
+from hil.live.run import Run
 
 UPDATE_MS = 50
 """Time between two updates of a viewer: 20 a second."""
 READINGS_MS = 500
 """Time between two readings of the last steps."""
 MAX_VIEWERS = 16
-MAX_REQUEST_BYTES = 65536
+MAX_ANSWERS = 20
+"""Number of answers that wait for a viewer; older ones are dropped."""
+MAX_REQUEST_BYTES = 100_000
 """Longest message of a viewer. A controller document fits in."""
-MAX_LOG_ENTRIES = 500
 CONTENT_SECURITY = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:"
 PAGE_FOLDER = Path(__file__).parent / "page"
 LIBRARY_FILES = ("bokeh.min.js", "bokeh-api.min.js")
@@ -51,51 +55,10 @@ class Source(Protocol):
         """Take a request of the viewer; return an answer or None."""
 
 
-class Run:
-    """What the feed of a run has said so far."""
-
-    def __init__(self) -> None:
-        self.information: dict[str, Any] | None = None
-        self.history: History | None = None
-        self.log: deque[list[Any]] = deque(maxlen=MAX_LOG_ENTRIES)
-        self.log_end = 0
-        """Number of log entries that were ever received."""
-        self.status: dict[str, Any] = {}
-        self.readings: dict[str, Any] = {}
-        self.is_over = False
-
-    def take_message(self, message: bytes) -> None:
-        """Take a message of the feed."""
-        if message.startswith(PERIODS):
-            if self.history is not None:
-                self.history.add_message(message[len(PERIODS) :])
-            return
-        content = json.loads(message)
-        if "run" in content:
-            self.information = run = content["run"]
-            self.history = History(len(run["axes"]), run["period_s"], run["start_ns"])
-        elif "log" in content:
-            time_ns, severity, source, text = content["log"]
-            start_ns = self.information["start_ns"] if self.information else time_ns
-            self.log.append([(time_ns - start_ns) * 1e-9, severity, source, text])
-            self.log_end += 1
-        else:
-            self.status = content
-
-    def update_readings(self) -> None:
-        """Read the last step of every axis."""
-        if self.history is None or self.information is None:
-            return
-        from hil.live.readings import readings
-
-        rows = self.history.since(0)
-        self.readings = readings(rows, self.information["axes"], self.information["states"])
-
-
 class RunSource:
     """A run as one viewer sees it."""
 
-    def __init__(self, run: Run, operator: Operator | None) -> None:
+    def __init__(self, run: Run, operator: DaemonOperator | None) -> None:
         self._run = run
         self._operator = operator
         self._next_row = 0
@@ -144,13 +107,6 @@ class RunSource:
         return {"reply": self._operator.ask(request)}
 
 
-class Operator(Protocol):
-    """Passes requests to a daemon."""
-
-    def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Return ``accepted`` and ``text``."""
-
-
 class Viewer(websocket.WebSocketHandler):
     """One page that is open in a browser."""
 
@@ -171,6 +127,7 @@ class Viewer(websocket.WebSocketHandler):
         """Begin to send."""
         self.set_nodelay(True)
         self.source: Source = self.application.settings["make_source"]()
+        self._answers: list[dict[str, Any]] = []
         self._is_sending = False
         self._is_first = True
         self.application.settings["viewers"].add(self)
@@ -179,17 +136,20 @@ class Viewer(websocket.WebSocketHandler):
         """Forget the viewer."""
         self.application.settings["viewers"].discard(self)
 
-    def on_message(self, message: str | bytes) -> None:
-        """Take a request of the page. What is no request is answered with the reason."""
+    async def on_message(self, message: str | bytes) -> None:
+        """Take a request of the page. What is no request is answered with the reason.
+
+        The next message of this viewer is read after the answer. Another thread waits for a daemon.
+        """
         try:
             request = json.loads(message)
             if not isinstance(request, dict):
                 raise ValueError("a request is a JSON object")
-            answer = self.source.request(request)
+            answer = await asyncio.to_thread(self.source.request, request)
         except (ValueError, KeyError, TypeError) as error:
             answer = {"reply": {"accepted": False, "text": f"not a request: {error}"}}
-        if answer is not None and not self._is_sending:
-            self.write_message(json.dumps(answer))
+        if answer is not None:
+            self._answers = [*self._answers[-MAX_ANSWERS:], answer]
 
     async def update(self) -> None:
         """Send what is new, unless the last update is still on its way: a slow viewer loses rows."""
@@ -198,6 +158,8 @@ class Viewer(websocket.WebSocketHandler):
         self._is_sending = True
         try:
             messages, rows = self.source.take()
+            answers, self._answers = self._answers, []
+            messages += answers
             if self._is_first:
                 messages = self.source.begin() + messages
                 self._is_first = False
@@ -271,7 +233,7 @@ def application(hosts: list[str], token: str, make_source: object) -> web.Applic
 
 def serve(options: dict[str, Any]) -> None:
     """Serve until the feed ends and every viewer has gone, or until the process is killed."""
-    operator = _operator(options["operate"])
+    operator = None if options["operate"] is None else DaemonOperator(options["operate"])
     loop = ioloop.IOLoop.current()
     run = Run()
     if options["recording"] is not None:
@@ -281,9 +243,7 @@ def serve(options: dict[str, Any]) -> None:
         app = application(options["hosts"], options["token"], lambda: PlaybackSource(playback))
     else:
         app = application(options["hosts"], options["token"], lambda: RunSource(run, operator))
-        feed = socket.socket(fileno=options["feed"])
-        feed.setblocking(False)
-        loop.add_handler(feed.fileno(), lambda *_: _read(feed, run, loop), loop.READ)
+        _begin_to_receive(options, run, loop)
         ioloop.PeriodicCallback(run.update_readings, READINGS_MS).start()
     server = httpserver.HTTPServer(app, max_header_size=16384, max_body_size=0)
     server.add_socket(socket.socket(fileno=options["listen"]))
@@ -294,6 +254,19 @@ def serve(options: dict[str, Any]) -> None:
 
     ioloop.PeriodicCallback(update, UPDATE_MS).start()
     loop.start()
+
+
+def _begin_to_receive(options: dict[str, Any], run: Run, loop: ioloop.IOLoop) -> None:
+    """Receive the feed of a run, or watch a daemon."""
+    if options["watch"] is not None:
+        from hil.live.watched_daemon import watch
+
+        arguments = (Path(options["watch"]), run, loop.add_callback)
+        threading.Thread(target=watch, args=arguments, daemon=True).start()
+        return
+    feed = socket.socket(fileno=options["feed"])
+    feed.setblocking(False)
+    loop.add_handler(feed.fileno(), lambda *_: _read(feed, run, loop), loop.READ)
 
 
 def _read(feed: socket.socket, run: Run, loop: ioloop.IOLoop) -> None:
@@ -307,18 +280,10 @@ def _read(feed: socket.socket, run: Run, loop: ioloop.IOLoop) -> None:
             message = b""
         if not message:
             loop.remove_handler(feed.fileno())
-            run.is_over = True
+            run.end()
             loop.call_later(1.0, loop.stop)
             return
         run.take_message(message)
-
-
-def _operator(path: str | None) -> Operator | None:
-    if path is None:
-        return None
-    from hil.live.operator import DaemonOperator
-
-    return DaemonOperator(path)
 
 
 def main(descriptor: int) -> None:

@@ -147,3 +147,29 @@ def test_the_keyboard_pauses_and_chooses_series(page: Page, playing: str) -> Non
     page.locator("#series input[value=rotation]").focus()
     page.keyboard.press("Space")
     page.wait_for_function("hilLive.charts.length === 6")
+
+
+def test_a_page_operates_a_daemon(page: Page, tmp_path: Path) -> None:
+    path, at = tmp_path / "run.mcap", str(tmp_path / "socket")
+    command = [*HIL, "daemon", "--socket", at, "--live", "--operate", "--record", str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        page.goto(re.sub("^page: ", "", process.stdout.readline().strip()))
+        state, reply = page.locator("#state"), page.locator("#reply")
+        expect(state).to_have_text("ready", timeout=60_000)
+        page.get_by_role("button", name="Start", exact=True).click()
+        expect(reply).to_contain_text("refused", timeout=30_000)
+        page.get_by_role("button", name="Arm", exact=True).click()
+        expect(state).to_have_text("armed", timeout=30_000)
+        page.get_by_role("button", name="Start", exact=True).click()
+        expect(state).to_have_text("running", timeout=30_000)
+        page.get_by_label("setpoint", exact=True).fill("0.02")
+        page.get_by_role("button", name="Set", exact=True).click()
+        expect(reply).to_contain_text("setpoint 0.02", timeout=30_000)
+        page.get_by_role("button", name="Stop", exact=True).click()
+        expect(state).to_have_text("armed", timeout=30_000)
+        assert main(["shutdown", "--socket", at]) == 0
+    assert process.returncode == 0
+    assert main(["replay", str(path)]) == 0
+    vertical = hil.open_recording(path).axis("vertical")
+    assert vertical.setpoint[vertical.running].max() == 0.02

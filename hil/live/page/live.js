@@ -122,14 +122,15 @@ function buildCharts() {
   const place = byId("charts"), colours = COLOURS();
   place.replaceChildren();
   live.charts = [];
+  const floors = { m: 0.01, rad: 0.03 };  // many times the resolution of the potentiometers
   const wanted = chosen("axis"), kinds = chosen("kind");
   for (const kind of kinds) {
     live.run.axes.forEach(([name, unit], i) => {
       if (!wanted.includes(name)) return;
       const r = FIXED + 3 * i, y = r + 1, v = r + 2;
       const [lines, columns, of, floor] = {
-        position: [[{ name: "r", label: "setpoint", colour: colours.wanted, dashed: true }, { name: "y", label: "measured", colour: colours.measured }], [r, y], unit, 0.002],
-        error: [[{ name: "e", label: "setpoint − measured", colour: colours.measured }], [r], unit, 0.002],
+        position: [[{ name: "r", label: "setpoint", colour: colours.wanted, dashed: true }, { name: "y", label: "measured", colour: colours.measured }], [r, y], unit, floors[unit]],
+        error: [[{ name: "e", label: "setpoint − measured", colour: colours.measured }], [r], unit, floors[unit]],
         valve: [[{ name: "v", label: "command", colour: colours.measured }], [v], "V", 0.2],
       }[kind];
       const chart = new Chart(place, `${name}, ${KINDS[kind]}`, of, lines, floor, moved);
@@ -179,7 +180,7 @@ setInterval(() => {
   const from = Math.max(rows.find(rows.last - Number(byId("span").value)), rows.begin);
   [1, 2].forEach((column, i) => {
     const values = [];
-    for (let row = from; row < rows.end; row += 1) if (column === 1 || rows.at(row, 4)) values.push(rows.at(row, column));
+    for (let row = from; row < rows.end; row += 1) if (rows.at(row, 4) && Number.isFinite(rows.at(row, column))) values.push(rows.at(row, column));
     histograms[i].draw(values);
   });
 }, 500);

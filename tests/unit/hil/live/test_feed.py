@@ -10,11 +10,11 @@ import pytest
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
-from hil.live import feed
+from hil.live import feed as feed_module
 from hil.live.address import open_address
 from hil.live.feed import BATCH_PERIODS, PERIODS, LiveFeed, RunInformation
 from hil.live.history import History
-from hil.live.server import Run
+from hil.live.run import Run
 from hil.shells.observers import Observers
 
 SIGNALS = AxisSignals(0.1, 0.09, 0.01, 1.0, 6.0, 7.0)
@@ -39,11 +39,11 @@ def ends(monkeypatch: pytest.MonkeyPatch) -> tuple[LiveFeed, socket.socket]:
     """Give a feed, and the end that the serving process would read."""
     theirs = []
 
-    def start(_address: object, descriptor: int, _operator: object) -> mock.Mock:
-        theirs.append(socket.socket(fileno=os.dup(descriptor)))
+    def start(_address: object, *, feed: int, operator_socket: str | None) -> mock.Mock:
+        theirs.append(socket.socket(fileno=os.dup(feed)))
         return mock.Mock(wait=mock.Mock(return_value=0))
 
-    monkeypatch.setattr(feed, "start_server", start)
+    monkeypatch.setattr(feed_module, "start_server", start)
     with open_address() as address:
         made = LiveFeed(INFORMATION, address)
     theirs[0].setblocking(False)

@@ -1,5 +1,6 @@
 """The server of the live page: who is answered, and that a viewer cannot do more than look."""
 
+import asyncio
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -13,7 +14,8 @@ from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from hil.live import server
 from hil.live.history import History
-from hil.live.server import Run, RunSource, application
+from hil.live.run import Run
+from hil.live.server import RunSource, application
 
 TOKEN = "correct"
 RUN = {
@@ -40,7 +42,8 @@ class LivePage(AsyncHTTPTestCase):
         self.run_ = Run()
         self.run_.take_message(json.dumps({"run": RUN}).encode())
         assert self.run_.history is not None
-        self.run_.history.add_rows(np.ones((3, 8)))
+        for _ in range(3):
+            self.run_.history.add_row(np.ones(8))
         self.operator: Recorded | None = None
         app = application([], TOKEN, lambda: RunSource(self.run_, self.operator))
         self.hosts: list[str] = app.settings["hosts"]
@@ -105,9 +108,17 @@ class LivePage(AsyncHTTPTestCase):
 
     async def answer_to(self, message: str) -> dict[str, Any]:
         connection = await self.viewer()
+        (viewer,) = self._app.settings["viewers"]
         await connection.write_message(message)
-        answer: dict[str, Any] = json.loads(str(await connection.read_message()))["reply"]
-        return answer
+        while not viewer._answers:
+            await asyncio.sleep(0)
+        await viewer.update()
+        while True:
+            received = await connection.read_message()
+            if isinstance(received, str) and "reply" in json.loads(received):
+                connection.close()
+                self._app.settings["viewers"].clear()
+                return dict(json.loads(received)["reply"])
 
     @gen_test
     async def test_a_page_that_only_shows_refuses_requests(self) -> None:
@@ -140,7 +151,7 @@ class LivePage(AsyncHTTPTestCase):
         (viewer,) = self._app.settings["viewers"]
         viewer._is_sending = True  # an update that is still on its way
         assert self.run_.history is not None
-        self.run_.history.add_rows(np.ones((5, 8)))
+        self.run_.history.add_row(np.ones(8))
         await viewer.update()
         assert viewer.source._next_row == 0
         connection.close()
