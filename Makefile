@@ -78,6 +78,7 @@ test-packages:
 	command -v modprobe >/dev/null || need kmod; \
 	command -v ip >/dev/null || need iproute2; \
 	command -v candump >/dev/null || need can-utils; \
+	command -v chromium >/dev/null || need chromium; \
 	$(INSTALL)
 
 MISSING := missing=; need() { missing="$$missing $$*"; }

@@ -7,6 +7,7 @@ used; scipy, control and matplotlib are imported by the functions that need them
 ``identify``               identify a model from arrays u and y; :class:`Identification`
 ``identify_experiments``   the same from several records, each an :class:`Experiment`;
                            :class:`RecordRefusedError` if a record allows no model
+``read_record``            read such a record from a recording or a table; :class:`Record`
 ``load_plant``             read a plant file, or a shipped plant by its name; :class:`Plant`
 ``paper_plant``            the paper's plant, eq. (15)
 ``load_design``            read a design file; :class:`DesignFile` is the default without one
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
         plant_from_control,
         plant_to_control,
     )
+    from design.records import Record, read_record
     from design.synthesis.design_file import DesignFile
     from design.synthesis.procedure import Design, design_controller
 
@@ -75,6 +77,7 @@ _HOMES = {
     "Identification": "design.identification.identify",
     "LoopMargins": "design.margin_summary",
     "Plant": "design.models.plant",
+    "Record": "design.records",
     "RecordRefusedError": "design.identification.findings",
     "Sampling": "design.models.sampling",
     "controller_to_control": "design.python_control",
@@ -88,6 +91,7 @@ _HOMES = {
     "paper_plant": "design.models.plant",
     "plant_from_control": "design.python_control",
     "plant_to_control": "design.python_control",
+    "read_record": "design.records",
     "write_design": "design.output.results",
 }
 """Module of each public name."""
@@ -100,6 +104,7 @@ __all__ = [
     "Identification",
     "LoopMargins",
     "Plant",
+    "Record",
     "RecordRefusedError",
     "Sampling",
     "controller_to_control",
@@ -113,6 +118,7 @@ __all__ = [
     "paper_plant",
     "plant_from_control",
     "plant_to_control",
+    "read_record",
     "write_design",
 ]
 

@@ -18,6 +18,7 @@ from hil.host.command_parser import CommandParser, number
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from design.identification.analysis.uncertainty import Root
     from design.identification.identify import Identification
     from design.identification.order_search import OrderTable
     from design.records import Record
@@ -74,7 +75,7 @@ def parser() -> CommandParser:
     command.add_argument(
         "--orders",
         action="store_true",
-        help="compare orders of OE models, and take the best BIC",
+        help="compare the usual orders of the kind of --structure, and take the best BIC",
     )
     command.add_argument("--drift", action="store_true", help="estimate a slow drift of the output")
     command.add_argument("--columns", default=COLUMNS, metavar="T,U,Y", help=f"columns (default {COLUMNS})")
@@ -86,6 +87,15 @@ def parser() -> CommandParser:
     )
     command.add_argument(
         "--unit", type=_unit_of_y, metavar="UNIT", help="unit of y in a table: m (default) or rad"
+    )
+    command.add_argument(
+        "--condition",
+        action="append",
+        default=[],
+        type=_condition,
+        metavar="KEY=VALUE",
+        help="condition of the experiment for the plant file, such as load_kg=3 or supply_kpa=400; may be "
+        "repeated",
     )
     command.add_argument("--name", metavar="NAME", help="name of the plant (default: the axis)")
     command.add_argument("-o", "--output", type=Path, metavar="FILE", help="plant file")
@@ -125,7 +135,7 @@ def main(argv: list[str]) -> int:
         identification,
         name=name,
         output_unit=unit,
-        conditions=fitted[0].conditions,
+        conditions={**fitted[0].conditions, **dict(options.condition)},
         recording=fitted[0].sha256,
     )
     plant_file.write_text(to_json(plant), encoding="utf-8")
@@ -174,6 +184,18 @@ def _unit_of_y(text: str) -> str:
     raise argparse.ArgumentTypeError(f"{text!r} must be m or rad{factor or hint}")
 
 
+def _condition(text: str) -> tuple[str, float | str]:
+    """Return the name and the value of a condition from an argument."""
+    key, equals, value = (part.strip() for part in text.partition("="))
+    if not (key and equals and value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not KEY=VALUE, such as load_kg=3")
+    try:
+        figure = float(value)
+    except ValueError:
+        return key, value
+    return key, figure if math.isfinite(figure) else value
+
+
 def _unit(records: list[Record], given: str | None) -> Literal["m", "rad"]:
     """Return the unit of y. Raises DocumentError where the records contradict each other."""
     units = {record.unit for record in records if record.unit}
@@ -190,7 +212,7 @@ def _identify(
     """Identify the model, after a search for its orders if that was asked for."""
     from design.identification.findings import refuse_if_needed
     from design.identification.identify import identify_experiments
-    from design.identification.order_search import output_error_orders, search_orders
+    from design.identification.order_search import orders_of_kind, search_orders
 
     refuse_if_needed([finding for record in fitted + validation for finding in record.findings])
     others = [record.experiment for record in validation] or None
@@ -207,7 +229,7 @@ def _identify(
     table = search_orders(
         chosen.estimate.experiments,
         [comparison.experiment for comparison in chosen.validation],
-        output_error_orders(),
+        orders_of_kind(chosen.structure),
         drift=options.drift,
     )
     best = identify_experiments(
@@ -274,9 +296,21 @@ def model_lines(identification: Identification, unit: str) -> list[tuple[str, st
         frequency, damping = mode.natural_frequency_rad_s, mode.damping
         damped = _interval(damping.value, damping.std)
         lines.append(("mode", f"{_interval(frequency.value, frequency.std)} rad/s, damping {damped}"))
+    for zero in known.zeros or ():
+        if zero.value.imag >= 0.0:
+            lines.append(("zero", f"{_root(zero)} rad/s"))
     dead = known.dead_time_s
     lines.append(("dead time", f"{_interval(1000.0 * dead.value, 1000.0 * dead.std)} ms"))
     return lines
+
+
+def _root(root: Root) -> str:
+    """Return a zero with the interval of its real part and, for a pair, of its imaginary part."""
+    real, imaginary = (1.96 * math.sqrt(max(float(root.covariance[i, i]), 0.0)) for i in (0, 1))
+    text = f"{root.value.real:.4g} ± {real:.2g}"
+    if root.value.imag == 0.0:
+        return text
+    return f"{text}, imaginary part {root.value.imag:.4g} ± {imaginary:.2g}"
 
 
 def _interval(value: float, std: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from design.mathematics import polynomials as poly
@@ -34,6 +35,16 @@ class LoopMargins:
     """Smallest phase lag in rad that makes the loop unstable. ``hil design`` prints it in degrees."""
     crossover_rad_s: float
     """Frequency in rad/s at which the loop gain falls through 1."""
+
+    def __str__(self) -> str:
+        if not self.stable:
+            return "unstable"
+        gain_db = 20.0 * math.log10(self.gain_margin) if self.gain_margin > 0.0 else -math.inf
+        return (
+            f"stable; stability margin {self.stability_margin:.3f} (W1 = 1, not the eps of hil design); gain "
+            f"margin {self.gain_margin:.3g}, that is {gain_db:.3g} dB; phase margin "
+            f"{math.degrees(self.phase_margin_rad):.3g}°; crossover {self.crossover_rad_s:.3g} rad/s"
+        )
 
 
 def loop_margins(plant: Plant, controller: ControllerFile, *, delay_samples: int = 1) -> LoopMargins:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -67,7 +68,7 @@ class Record:
 
 
 def read_record(
-    path: Path,
+    path: str | os.PathLike[str],
     *,
     axis: str | None = None,
     columns: tuple[str, str, str] = COLUMNS,
@@ -77,9 +78,14 @@ def read_record(
 ) -> Record:
     """Read one record. Raises DocumentError naming the file and what is wrong with it.
 
+    ``Record.experiment`` is what :func:`design.identify_experiments` takes, and ``Record.expected`` what it
+    takes as ``expected``. ``axis`` chooses an axis of a recording, by default the excited one; the other
+    arguments are for tables.
+
     ``input_held_in_gaps`` states that the actuator kept its last input where a table has no row or no
     input. In a recording, the gateway's own commands show what the valve held.
     """
+    path = Path(path)
     match path.suffix.lower():
         case ".mcap":
             return _from_recording(path, axis)

@@ -233,7 +233,7 @@ def identify(
             name=f"{job.axis}-{condition.name}",
             output_unit=unit,
             description=f"axis {job.axis}, condition {condition.name}",
-            conditions=fitted.conditions,
+            conditions={**fitted.conditions, "condition": condition.name, **_instruction(condition)},
             recording=fitted.sha256,
         )
         path = directory / f"{condition.name}.plant.json"
@@ -241,6 +241,10 @@ def identify(
         say(f"{condition.name}: {job.structure}, fit {identification.fit_percent:.2f} % on the other record")
         models.append(Model(condition, plant, identification, path))
     return models
+
+
+def _instruction(condition: Condition) -> dict[str, str]:
+    return {"instruction": condition.instruction} if condition.instruction else {}
 
 
 def design(

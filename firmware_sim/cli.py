@@ -11,10 +11,12 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 
+from firmware_sim.faulty_rig import FaultyRig
 from firmware_sim.plant_options import add_plant_options
 from firmware_sim.plants.plant import Plant
 from firmware_sim.realtime import Bus, Watch, simulate
 from firmware_sim.simulated_plant import build_boards, build_plant, refuse_host_faults
+from firmware_sim.simulated_rig import SimulatedRig
 from hil import __version__
 from hil.core.errors import DocumentError, EnvironmentLackError, HilError
 from hil.core.rig import Rig, read_rig
@@ -37,7 +39,7 @@ def main(argv: list[str] | None = None) -> int:
         rig = _read_rig(options.rig)
         refuse_host_faults(options)
         plant, plant_text = build_plant(rig, options)
-        boards = build_boards(rig, plant, options)
+        boards = build_boards(rig, plant, options, may_break=options.event_descriptor is not None)
         if options.watch and (options.linear or options.plant):
             raise DocumentError(
                 "--watch shows the pneumatic arm and no linear model; omit it, or omit --linear and --plant"
@@ -49,26 +51,24 @@ def main(argv: list[str] | None = None) -> int:
         try:
             print(_description(rig, plant_text, spec), flush=True)
             _take_priority()
-            simulate(boards, bus, _watch(plant, options))
+            simulate(boards, bus, _watch(boards, plant, options))
         except HilError as error:
             return _report(error, 1)
     return 0
 
 
-def _watch(plant: Plant, options: argparse.Namespace) -> Watch | None:
-    """Return the display of the arm, or the input of its events, or None."""
+def _watch(boards: SimulatedRig | FaultyRig, plant: Plant, options: argparse.Namespace) -> Watch | None:
+    """Return the display of the arm, or the input of events and faults, or None."""
     from firmware_sim.arm.arm import Arm
 
-    if not isinstance(plant, Arm):
-        return None
-    if options.watch:
+    if options.watch and isinstance(plant, Arm):
         from firmware_sim.watch import ArmWatch
 
         return ArmWatch(plant)
-    if options.event_descriptor is not None:
+    if options.event_descriptor is not None and isinstance(boards, FaultyRig):
         from firmware_sim.event_input import EventInput
 
-        return EventInput(plant, options.event_descriptor)
+        return EventInput(boards, options.event_descriptor)
     return None
 
 

@@ -104,14 +104,18 @@ class FaultyRig:
 
         Raises DocumentError as the constructor does.
         """
+        self.plan(fault, now_ns)
+        return self._run_agenda(now_ns)
+
+    def plan(self, fault: AnyFault | str, now_ns: int) -> None:
+        """Arm a fault as :meth:`inject` does. One that is due begins at the next call of ``on_deadline``."""
         parsed, random = self._checked(fault)
         if _COMMAND_ID in self._last:
             self._note_command(self._last[_COMMAND_ID])
         if parsed.when:
             self._wait_for_condition(parsed, random)
-            return ()
-        self._schedule(now_ns + round(parsed.at_s * 1e9), partial(self._begin, parsed, random))
-        return self._run_agenda(now_ns)
+        else:
+            self._schedule(now_ns + round(parsed.at_s * 1e9), partial(self._begin, parsed, random))
 
     def begun_by_time(self) -> dict[str, str]:
         """Return the faults that have begun, by their instant in seconds; those of one instant are joined."""

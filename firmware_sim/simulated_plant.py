@@ -98,11 +98,16 @@ def planned_events(options: argparse.Namespace) -> dict[str, float]:
     return dict(sorted(planned.items(), key=lambda item: item[1]))
 
 
-def build_boards(rig: Rig, plant: Plant, options: argparse.Namespace) -> SimulatedRig | FaultyRig:
-    """Return the boards before ``plant``, with the faults that ``options`` choose. Raises DocumentError."""
+def build_boards(
+    rig: Rig, plant: Plant, options: argparse.Namespace, *, may_break: bool = False
+) -> SimulatedRig | FaultyRig:
+    """Return the boards before ``plant``, with the faults that ``options`` choose. Raises DocumentError.
+
+    ``may_break`` is True if faults can be added while the rig is simulated.
+    """
     boards = SimulatedRig(rig, plant)
     faults = planned_faults(options)
-    return FaultyRig(rig, boards, faults, seed=options.seed) if faults else boards
+    return FaultyRig(rig, boards, faults, seed=options.seed) if faults or may_break else boards
 
 
 def planned_faults(options: argparse.Namespace) -> list[AnyFault]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import product
 
 import numpy as np
 
@@ -12,8 +13,18 @@ from design.errors import DesignError
 from design.identification.analysis.comparison import compare, overall_fit
 from design.identification.estimators.estimate import Estimate
 from design.identification.estimators.fit import fit
-from design.identification.models.structures import OutputError, Structure
+from design.identification.models.structures import (
+    Armax,
+    Arx,
+    BoxJenkins,
+    ContinuousPoles,
+    OutputError,
+    Structure,
+)
 from design.identification.records.experiment import Experiment
+
+MAX_CONTINUOUS_ORDER = 4
+"""Largest number of real poles and poles of pairs, together, that a search tries."""
 
 
 class Criterion(StrEnum):
@@ -75,6 +86,33 @@ def output_error_orders(
     """Return every output-error structure with these orders whose B is not longer than its F."""
     delays, lengths = tuple(nk), tuple(nb)
     return [OutputError(b, f, k) for f in nf for b in lengths for k in delays if b <= max(f, 1)]
+
+
+def orders_of_kind(structure: Structure) -> list[Structure]:
+    """Return the usual orders of the kind of a structure, in which C and D of BJ have one order.
+
+    A continuous structure keeps its integrators and its largest dead time.
+    """
+    match structure:
+        case OutputError():
+            return output_error_orders()
+        case Arx():
+            return [Arx(a, b, k) for a, b, k in product(range(1, 7), (1, 2, 3), (1, 2, 3)) if b <= a]
+        case Armax():
+            orders = product((1, 2, 3, 4), (1, 2), (1, 2, 3), (1, 2))
+            return [Armax(a, b, c, k) for a, b, c, k in orders if b <= a]
+        case BoxJenkins():
+            orders = product((1, 2, 3, 4), (1, 2), (1, 2), (1, 2))
+            return [BoxJenkins(b, c, c, f, k) for f, b, c, k in orders if b <= f]
+        case ContinuousPoles():
+            return [
+                replace(structure, real=real, pairs=pairs, zeros=zeros)
+                for real, pairs, zeros in product(
+                    (0, 1), (0, 1, 2), (0, 1, 2)
+                )  # a pair may be two real poles
+                if 0 < real + 2 * pairs <= MAX_CONTINUOUS_ORDER
+                and zeros < real + 2 * pairs + structure.integrators
+            ]
 
 
 def search_orders(

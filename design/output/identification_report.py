@@ -25,6 +25,13 @@ from design.output.mathml import transfer_function_formula
 from design.output.page import render_page
 from design.output.provenance import versions
 
+JOINT_ORDER = 3
+"""Largest order up to which the true parameters lie inside their joint ellipsoid as often as they should."""
+AMBIGUOUS_ORDER = 6
+"""Order from which different sets of poles often explain a record equally well.
+
+In a third of random records of order 6, the model that fits best has other poles than the true system.
+"""
 _SIGNS = {
     Severity.REFUSE: ("Refused", ""),
     Severity.WARN: ("Warning", "caution"),
@@ -110,6 +117,7 @@ def render_identification(
         output_figures=output_figures(identification.validation, unit),
         records=_record_rows(identification),
         properties=_property_rows(known, unit),
+        interval_note=interval_note(identification.discrete.order),
         zeros_note=_zeros_note(known),
         figures=[
             bode_figure(identification, unit),
@@ -222,6 +230,22 @@ def _interval(quantity: Quantity) -> str:
     if not (np.isfinite(low) and np.isfinite(high)):
         return "unknown"
     return f"{_number(low)} to {_number(high)}"
+
+
+def interval_note(order: int) -> str:
+    """Return what the intervals of a model of this order do not say."""
+    if order >= AMBIGUOUS_ORDER:
+        return (
+            f"They describe models close to this one only. At order {AMBIGUOUS_ORDER} and above, other sets "
+            "of poles often explain a record as well, and the intervals do not contain those. Rely on the "
+            "frequency response with its band below the fastest pole, or choose a smaller order."
+        )
+    if order > JOINT_ORDER:
+        return (
+            "Each holds by itself, with the others left open. A joint region of all parameters is not given: "
+            f"above order {JOINT_ORDER} it is no ellipsoid."
+        )
+    return ""
 
 
 def _zeros_note(known: Properties) -> str:

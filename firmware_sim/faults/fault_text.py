@@ -46,6 +46,11 @@ _KINDS: Final[dict[str, type[Fault]]] = {
 _EVENTS: Final = frozenset(str(kind.__struct_config__.tag).replace(" ", "-") for kind in get_args(AnyEvent))
 
 
+def has_fault(name: str) -> bool:
+    """Return whether a fault of this name exists. Events of the arm are not counted."""
+    return name in _KINDS
+
+
 def parse_fault(text: str) -> AnyFault:
     """Return the fault that a text describes. Raises DocumentError with the text, the value and its limit."""
     source = f"--fault {text!r}"

@@ -5,5 +5,6 @@
 - ``result_files``: the results on disk, to resume from and to read with other tools.
 - ``runner``: runs the cases in processes, in order.
 - ``summary``: what the results say, fault by fault.
+- ``page``: the HTML page, with the worst cases first.
 - ``shipped``: the campaigns ``faults`` and ``robustness``.
 """

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import Final
+from itertools import islice
+from typing import Final, TypeAlias
 
 from hil.campaigns.campaign_file import Campaign, case_count
 from hil.campaigns.case import CaseResult, run_case
 from hil.core.errors import HilError
+
+_Group: TypeAlias = "Future[list[CaseResult]]"
 
 CASES_AT_ONCE: Final = 8
 """Number of cases that a process is given at once."""
@@ -25,25 +29,34 @@ def default_workers() -> int:
 
 
 def run_cases(campaign: Campaign, first: int, workers: int) -> Iterator[list[CaseResult]]:
-    """Yield the results of the cases from ``first`` on, in groups and in order.
+    """Return the results of the cases from ``first`` on, in groups and in order.
 
-    With one worker, the cases run in this process. Raises the HilError of a case that cannot run, and
-    HilError if a process ends.
+    With one worker, the cases run in this process. Otherwise the processes begin at once. The iterator raises
+    the HilError of a case that cannot run, and HilError if a process ends.
     """
     groups = _groups(first, case_count(campaign))
     if workers == 1:
-        for start, stop in groups:
-            yield run_group(campaign, start, stop)
-        return
-    with ProcessPoolExecutor(workers) as pool:
-        waiting: deque[Future[list[CaseResult]]] = deque()
+        return (run_group(campaign, start, stop) for start, stop in groups)
+    pool = ProcessPoolExecutor(workers, initializer=_ignore_interrupt)
+
+    def submit(start: int, stop: int) -> _Group:
+        return pool.submit(run_group, campaign, start, stop)
+
+    # All processes are forked here, before the caller shows progress in a thread.
+    waiting = deque(submit(*group) for group in islice(groups, workers * _WAITING_PER_WORKER))
+    return _in_order(pool, waiting, (submit(*group) for group in groups))
+
+
+def _in_order(
+    pool: ProcessPoolExecutor, waiting: deque[_Group], following: Iterator[_Group]
+) -> Iterator[list[CaseResult]]:
+    """Yield the results of ``waiting``; submit one of ``following`` for each."""
+    with pool:
         try:
-            for start, stop in groups:
-                waiting.append(pool.submit(run_group, campaign, start, stop))
-                if len(waiting) >= workers * _WAITING_PER_WORKER:
-                    yield waiting.popleft().result()
             while waiting:
-                yield waiting.popleft().result()
+                results = waiting.popleft().result()
+                waiting.extend(islice(following, 1))
+                yield results
         except BrokenProcessPool:
             raise HilError(
                 "a process of the campaign ended, perhaps for lack of memory; run the same command again to "
@@ -52,6 +65,11 @@ def run_cases(campaign: Campaign, first: int, workers: int) -> Iterator[list[Cas
         finally:
             for future in waiting:
                 future.cancel()
+
+
+def _ignore_interrupt() -> None:
+    """Let Ctrl-C end the campaign's main process, which waits for the cases that have begun."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def run_group(campaign: Campaign, start: int, stop: int) -> list[CaseResult]:

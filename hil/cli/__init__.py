@@ -30,6 +30,8 @@ COMMANDS = {
     "report": ("hil.cli.report", "write an HTML page about a recording: plots and figures"),
     "recover": ("hil.cli.recover", "save what is whole in a recording that was cut off or damaged"),
     "monitor": ("hil.cli.monitor", "watch the bus: boards, samples, positions, load; moves nothing"),
+    "calibrate": ("hil.cli.calibrate", "measure an axis' potentiometer or valve for the rig file"),
+    "live": ("hil.cli.live", "show a daemon, or play a recording, on a page in the browser"),
     "rig": ("hil.cli.rig", "print, copy or check a rig file"),
     "vcan": ("hil.cli.vcan", "run a command where the CAN interface vcan0 exists"),
     "doctor": ("hil.cli.doctor", "check what this machine offers a control loop, and what to improve"),

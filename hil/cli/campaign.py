@@ -81,6 +81,7 @@ def _run_one(campaign: Campaign, number: int, record: Path | None) -> int:
 def _run_all(campaign: Campaign, text: str, path: Path, options: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from hil.campaigns.page import write_page
     from hil.campaigns.result_files import ResultFolder
     from hil.campaigns.runner import default_workers
     from hil.campaigns.summary import summarise_campaign
@@ -95,6 +96,8 @@ def _run_all(campaign: Campaign, text: str, path: Path, options: argparse.Namesp
     summary = summarise_campaign(folder.results())
     _print_summary(console, campaign, summary, options.campaign)
     console.print(f"results    {folder.write_table()}")
+    page = write_page(folder.path, campaign, options.campaign, summary, folder.results())
+    console.print(f"page       {page}  (the worst cases first, with their plots)")
     return 1 if summary.failed else 0
 
 

@@ -6,19 +6,11 @@ import math
 import sys
 import time
 
-from hil.cli.run_parts import SIMULATED
 from hil.core.errors import HilError
 from hil.core.output import LogEntry, Severity
 from hil.core.setpoints import Setpoint
+from hil.shells.real_bus import is_real
 from hil.shells.run_setup import RunSetup
-
-INSIDE_THIS_MACHINE = ("vcan", "udp:", "inproc:")
-"""Beginnings of the names of buses that no real board can be on."""
-
-
-def is_real(bus: str) -> bool:
-    """Return whether real boards may be on a bus. An unknown kind of bus counts as real."""
-    return bus != SIMULATED and not bus.removeprefix("socketcan:").startswith(INSIDE_THIS_MACHINE)
 
 
 def protection_warnings(setup: RunSetup, bus: str) -> list[LogEntry]:

@@ -15,6 +15,7 @@ from hil.cli.run_parts import SIMULATED
 from hil.core.errors import DocumentError
 from hil.core.setpoints import HOLD
 from hil.host.command_parser import CommandParser, number
+from hil.live.address import add_page_options
 from hil.shells.run_setup import load_rig
 
 DESCRIPTION = """\
@@ -88,6 +89,8 @@ def parser() -> CommandParser:
     )
     units.add_argument("--force", action="store_true", help="overwrite installed files")
     add_plant_options(command)
+    page = add_page_options(command)
+    page.add_argument("--operate", action="store_true", help="let the page operate the daemon")
     command.set_defaults(lockstep=False)
     return command
 

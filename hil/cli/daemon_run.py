@@ -13,6 +13,7 @@ from firmware_sim.simulated_plant import planned_events
 from hil import __version__
 from hil.cli.confirmation import protection_warnings
 from hil.cli.daemon_actions import EVENT_CHECK, daemon_actions, has_events
+from hil.cli.live_page import start_page
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
     SIMULATED,
@@ -39,7 +40,7 @@ from hil.shells.realtime import run
 from hil.shells.recordings import Recordings, RotationLimits
 from hil.shells.run_plan import Ending, OperatorPlan
 from hil.shells.run_setup import RIG_NAME, RunSetup
-from hil.shells.session import Session
+from hil.shells.session import Observer, Session
 from hil.shells.watchdog import WatchdogObserver
 from hil.views.log_lines import LogLines
 
@@ -67,6 +68,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         recorder = None if options.no_record else _recorder(setup, spec, link, epoch_offset_ns, options)
         limits = RotationLimits(options.rotate_bytes, options.rotate_s, options.keep)
         recordings = None if recorder is None else Recordings(recorder, limits)
+        observers = _page(stack, setup, bus, epoch_offset_ns, recordings, options)
         log = LogLines()
         stack.callback(log.close)
         facts = Facts(__version__, bus, setup.texts[RIG_NAME], None if events is None else EVENT_CHECK)
@@ -85,7 +87,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 link.send,
                 time.monotonic_ns,
                 recorder or NoRecorder(),
-                Observers(port, log, WatchdogObserver(notifier)),
+                Observers(port, log, WatchdogObserver(notifier), *observers),
                 setup.rig.adc.stale_after_periods,
                 recordings,
             )
@@ -116,6 +118,24 @@ def _start_boards(
     with theirs:
         stack.enter_context(boards_process(spec, options, theirs))
     return ours
+
+
+def _page(
+    stack: contextlib.ExitStack,
+    setup: RunSetup,
+    bus: str,
+    epoch_offset_ns: int,
+    recordings: Recordings | None,
+    options: argparse.Namespace,
+) -> list[Observer]:
+    """Start the page in the browser, if the user asks for it. Return its observers."""
+    if not options.live:
+        return []
+    recording = "" if recordings is None else str(recordings.path or "")
+    operator_socket = str(options.socket or default_path()) if options.operate else None
+    feed = start_page(setup, recording, bus, epoch_offset_ns, options, operator_socket)
+    stack.callback(feed.close)
+    return [feed]
 
 
 def _recorder(

@@ -6,9 +6,12 @@ import json
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
 
+from hil.core.errors import DocumentError
 from hil.host.command_parser import CommandParser
 from hil.host.doctor import Check, CheckVerdict, doctor
+from hil.shells.preflight import preflight
 
 _STYLES = {
     CheckVerdict.GOOD: "green",
@@ -23,16 +26,22 @@ def parser() -> CommandParser:
         prog="hil doctor",
         description="Check what this machine offers a control loop, and say what to do about the rest. If "
         "`hil vcan` needs user-mode Linux here, it is started once, which takes about 3 s. The exit status "
-        "is 1 if something is missing without which the simulated rig cannot run.",
+        "is 1 if something is missing without which the simulated rig cannot run. With --rig: check whether "
+        "this rig can be operated from here: its files, its protection, its bus and the rights that a real "
+        "arm demands; nothing is opened or sent, and the status is 1 if something is missing that it needs.",
     )
+    command.add_argument("--rig", type=Path, metavar="FILE", help="check this rig file before operation")
+    command.add_argument("--bus", metavar="BUS", help="with --rig: bus instead of the rig file's")
     command.add_argument("--json", action="store_true", help="print a list of objects, for programs")
     return command
 
 
 def main(argv: list[str]) -> int:
-    """Print the findings. Returns 1 if something is missing that the simulated rig needs, else 0."""
+    """Print the findings. Returns 1 if something is missing that the rig needs, else 0."""
     options = parser().parse_args(argv)
-    checks = doctor(_show)
+    if options.bus and not options.rig:
+        raise DocumentError("--bus belongs to --rig: name the rig file that is to be operated on it")
+    checks = preflight(options.rig, options.bus) if options.rig else doctor(_show)
     if options.json:
         sys.stdout.write(json.dumps([check._asdict() for check in checks], indent=2) + "\n")
     else:

@@ -67,6 +67,7 @@ def main(argv: list[str]) -> int:
     options = command.parse_args(argv)
     name, to_s = _split_to(command, options.to)
     _check(command, options, name, to_s)
+    from hil.cli.cut_off import warn_if_cut_off
     from hil.cli.file_progress import FileProgress
     from hil.conversion.export import Format, export
     from hil.conversion.output_file import check_output
@@ -78,6 +79,7 @@ def main(argv: list[str]) -> int:
     path = options.output or default_output(options.recording, file_format)
     check_output(path, force=options.force)
     recording = open_recording(options.recording)
+    warn_if_cut_off(recording)
     with FileProgress("export", recording.duration_s) as progress:
         written = export(recording, path, file_format, selection, force=options.force, watch=progress)
     sys.stdout.write(f"{path}: {written.length} {written.unit}\n")

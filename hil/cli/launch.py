@@ -10,6 +10,7 @@ from pathlib import Path
 
 from firmware_sim.simulated_plant import build_boards, build_plant, planned_events, refuse_host_faults
 from hil.cli.confirmation import protection_warnings
+from hil.cli.live_page import start_page
 from hil.cli.quantities import duration_text
 from hil.cli.run_parts import (
     SIMULATED,
@@ -25,7 +26,7 @@ from hil.core.output import LogEntry, Severity
 from hil.recording.recorder import FAULTS_BEGUN, Recorder, RecorderReport
 from hil.shells.run_plan import RunPlan
 from hil.shells.run_setup import RunSetup
-from hil.shells.session import Session
+from hil.shells.session import Observer, Session
 
 LOCKSTEP_EPOCH_NS = 1_000_000_000_000_000_000
 """Start of simulated time, 2001-09-09. It is fixed, so that a recording depends on the setup alone."""
@@ -41,6 +42,7 @@ def run_realtime(
     from hil.host.realtime_rights import real_time_rights
     from hil.links import open_link
     from hil.shells.bus_guard import refuse_other_gateway
+    from hil.shells.observers import Observers
     from hil.shells.realtime import run
     from hil.views.live_display import LiveDisplay
 
@@ -58,12 +60,17 @@ def run_realtime(
         planned = planned_events(options) if bus == SIMULATED else {}
         header = run_header(setup, epoch_offset_ns, spec, link.stamp_origin, host_versions(), planned)
         recorder = Recorder(path, header, lossless=False)
+        feed = start_page(setup, str(path), spec, epoch_offset_ns, options) if options.live else None
         display = LiveDisplay(axes)
         stack.callback(display.close)
+        observer: Observer = display
+        if feed is not None:
+            stack.callback(feed.close)
+            observer = Observers(display, feed)
         with real_time_rights(setup.rig.loop.poll_before_deadline_s) as rights:
             most_refused = setup.rig.adc.stale_after_periods
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
-            session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, display, most_refused)
+            session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, observer, most_refused)
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             for warning in protection_warnings(setup, bus):
                 session.note(warning)

@@ -75,13 +75,7 @@ def main(argv: list[str]) -> int:
     """Watch until interrupted, or once. Raises DocumentError or LinkError."""
     options = parser().parse_args(argv)
     rig = load_rig(options.rig)
-    bus = options.bus or rig.bus.channel
-    if bus == "sim":
-        raise DocumentError(
-            f"{options.rig or 'rig.toml'}: bus.channel: 'sim' is a bus that each run makes for itself, and "
-            "nothing else can listen to it; name a bus with --bus"
-        )
-    with open_link(bus) as link:
+    with open_link(bus_to_hear(options, rig)) as link:
         monitor = Monitor(link, rig, options.bit_rate, options.sync, time.monotonic_ns)
         if options.once:
             monitor.listen_until(time.monotonic_ns() + round(ONCE_S * 1e9))
@@ -90,14 +84,31 @@ def main(argv: list[str]) -> int:
         return _watch(monitor, options)
 
 
+def bus_to_hear(options: argparse.Namespace, rig: Rig) -> str:
+    """Return the bus of ``--bus``, or that of the rig file. Raises DocumentError."""
+    bus: str = options.bus or rig.bus.channel
+    if bus == "sim":
+        raise DocumentError(
+            f"{options.rig or 'rig.toml'}: bus.channel: 'sim' is a bus that each run makes for itself, and "
+            "nothing else can listen to it; name a bus with --bus"
+        )
+    return bus
+
+
 class Monitor:
     """Listens to a link. With ``sends_sync``, it sends SYNC while no gateway is heard."""
 
     def __init__(
-        self, link: Link, rig: Rig, bit_rate: int, sends_sync: bool, clock_ns: Callable[[], int]
+        self,
+        link: Link,
+        rig: Rig,
+        bit_rate: int,
+        sends_sync: bool,
+        clock_ns: Callable[[], int],
+        on_sample: Callable[[tuple[float, ...]], None] = lambda _volts: None,
     ) -> None:
         self.link = link
-        self.watch = BusWatch(rig, bit_rate)
+        self.watch = BusWatch(rig, bit_rate, on_sample)
         self._sends_sync = sends_sync
         self._clock_ns = clock_ns
         self._period_ns = rig.loop.period_ns

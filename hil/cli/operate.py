@@ -213,8 +213,8 @@ JOG = OperatorCommand(
 )
 EVENT = OperatorCommand(
     "event",
-    "Let something happen to the simulated arm now. The forms are those of `hil run --event` without their "
-    "time.",
+    "Let something happen to the simulated arm now, or let a fault of the simulated rig begin. The forms are "
+    "those of `hil run --event` and `--fault` without their time; a fault may have a duration: unplug/0.5.",
     _add_event_arguments,
     lambda client, options: client.event(options.event),
 )

@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from hil.cli.cut_off import warn_if_cut_off
 from hil.conversion.output_file import check_output, new_file
 from hil.core.errors import DocumentError, RecordingError
 from hil.recording import open_recording
@@ -26,6 +27,7 @@ def replay_with_controller(path: Path, options: argparse.Namespace) -> int:
     check_output(output, force=options.force)
     chosen = _by_axis(options.with_controller)
     recording = open_recording(path)
+    warn_if_cut_off(recording)
     if "imported" in recording.metadata:
         raise RecordingError(
             f"{path}: was imported from a bus log, which has no setpoints, so no controller can be run on it"

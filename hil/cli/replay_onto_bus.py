@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+from hil.cli.cut_off import warn_if_cut_off
 from hil.core.errors import HilError, LinkError, RecordingError
 from hil.core.rig import Rig, read_rig
 from hil.host.realtime_rights import Rights, real_time_rights
@@ -33,6 +34,7 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
         )
     side = Side(options.side or Side.BOARDS)
     recording = open_recording(path)
+    warn_if_cut_off(recording)
     schedule = schedule_of(recording, side, options.from_s, options.to_s, answer_sync=options.answer_sync)
     rig = _rig_of(recording) if side is Side.GATEWAY else None
     with contextlib.ExitStack() as stack:
@@ -57,7 +59,7 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
                 failure = error
             finally:
                 if rig is not None:
-                    centred = centre_after(replay, rig)
+                    centred = centre_after(replay, rig, link.reopen)
     sys.stdout.write(_report(options.bus, side, schedule, replay, rights))
     if rig is not None:
         sys.stdout.write(_centring_report(centred))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from firmware_sim.plant_options import add_plant_options, check_plant_options, given_plant_options
 from firmware_sim.simulated_plant import plant_texts
 from hil.cli.axis_values import by_axis
-from hil.cli.confirmation import confirm_motion, is_real
+from hil.cli.confirmation import confirm_motion
 from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.quantities import duration_text
 from hil.cli.record_path import create_folder_of, recording_path
@@ -24,7 +24,9 @@ from hil.core.errors import DocumentError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, FORMS
 from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
+from hil.live.address import add_page_options
 from hil.recording.recorder import RecorderReport
+from hil.shells.real_bus import is_real
 from hil.shells.run_plan import Ending, RunPlan
 from hil.shells.run_setup import RunSetup, load_rig, load_setup, shipped_controllers
 
@@ -97,7 +99,9 @@ def parser() -> CommandParser:
     command.add_argument(
         "--yes", action="store_true", help="do not ask before the axes of a bus that may be real move"
     )
+    command.add_argument("--no-plot", action="store_true", help="draw no plot beside the recording")
     add_plant_options(command)
+    add_page_options(command)
     return command
 
 
@@ -105,6 +109,10 @@ def main(argv: list[str]) -> int:
     """Run ``hil run`` with ``argv``; return its exit status. Raises HilError for wrong arguments or files."""
     options = parser().parse_args(argv)
     check_plant_options(options)
+    if options.live and options.lockstep:
+        raise DocumentError(
+            "--live shows a run in real time; with --lockstep, play the recording: `hil live FILE`"
+        )
     scenario, scenario_text = given_scenario(options)
     setup = read_setup(options, scenario, scenario_text)
     bus = chosen_bus(options, setup)
@@ -122,7 +130,7 @@ def main(argv: list[str]) -> int:
     report = _recorded_run(setup, plan, bus, duration_s, options)
     from hil.cli.run_report import print_run_report
 
-    print_run_report(plan.ending, report, scenario)
+    print_run_report(plan.ending, report, scenario, has_plots=not options.no_plot)
     return _exit_status(plan.ending, report)
 
 

@@ -14,7 +14,6 @@ from hil.core.errors import HilError
 from hil.core.output import Severity
 from hil.recording.reader import Recording
 from hil.shells.run_plan import Ending
-from hil.views.plots import plot_run
 from hil.views.summary import summarise
 
 if TYPE_CHECKING:
@@ -43,10 +42,12 @@ class _Printer(Console):
         self.quiet = True
 
 
-def print_run_report(ending: Ending | None, report: RecorderReport, scenario: Scenario | None) -> None:
-    """Print the summary of a run and draw its plots beside the recording."""
+def print_run_report(
+    ending: Ending | None, report: RecorderReport, scenario: Scenario | None, *, has_plots: bool = True
+) -> None:
+    """Print the summary of a run and, with ``has_plots``, draw its plots beside the recording."""
     console = _Printer(highlight=False, soft_wrap=True, markup=False)
-    recorded = _print_recording(console, report, scenario)
+    recorded = _print_recording(console, report, scenario, has_plots)
     if report.failure:
         missing = report.missing(recorded.messages)
         text = f"The recording is incomplete: {report.failure}; {missing} messages are missing in the file."
@@ -64,7 +65,9 @@ def print_run_report(ending: Ending | None, report: RecorderReport, scenario: Sc
             sys.stderr.write(recorded.traceback)
 
 
-def _print_recording(console: Console, report: RecorderReport, scenario: Scenario | None) -> _Recorded:
+def _print_recording(
+    console: Console, report: RecorderReport, scenario: Scenario | None, has_plots: bool
+) -> _Recorded:
     recorded = _Recorded()
     try:
         recording = Recording(report.path)
@@ -76,17 +79,24 @@ def _print_recording(console: Console, report: RecorderReport, scenario: Scenari
         )
         console.print(summarise(recording).table())
         console.print(f"recording  {report.path}  (opens in Foxglove and PlotJuggler)")
-        picture = picture_of(report.path)
-        plot_run(recording, picture)
-        console.print(f"plot       {picture}")
-        if scenario is not None:
-            figure = figure_of(report.path)
-            plot_run(recording, figure, axes=scenario.figure_axes, title=scenario.title)
-            console.print(f"figure     {figure}")
+        if has_plots:
+            _draw_plots(console, recording, scenario)
         console.print(f"next       hil replay {shlex.quote(str(report.path))}")
     except HilError as error:
         console.print(f"There is no complete summary: {error}", style="yellow")
     return recorded
+
+
+def _draw_plots(console: Console, recording: Recording, scenario: Scenario | None) -> None:
+    from hil.views.plots import plot_run
+
+    picture = picture_of(recording.path)
+    plot_run(recording, picture)
+    console.print(f"plot       {picture}")
+    if scenario is not None:
+        figure = figure_of(recording.path)
+        plot_run(recording, figure, axes=scenario.figure_axes, title=scenario.title)
+        console.print(f"figure     {figure}")
 
 
 def _last_warning(recording: Recording) -> str:

@@ -74,6 +74,8 @@ def chosen_axes(recording: Recording, selection: Selection) -> tuple[str, ...]:
                 f"{recording.path}: no axis {name!r}; the recording has {', '.join(recording.axes)}"
                 f"{did_you_mean(name, recording.axes)}"
             )
+    if not recording.axes:
+        raise RecordingError(f"{recording.path}: has no axis, so it has no signals; frames can be exported")
     return selection.axes or tuple(recording.axes)
 
 

@@ -17,8 +17,8 @@ from hil.core.errors import DocumentError
 from hil.core.requests import ControllerRequest
 from hil.core.rig import Rig
 
-MAX_DOCUMENT_BYTES = 1024 * 1024
-"""Largest controller file of a request, in bytes."""
+MAX_DOCUMENT_CHARACTERS = 128 * 1024
+"""Largest controller file of a request. A law of the highest order needs 60,000 characters."""
 
 
 class PreparedController(NamedTuple):
@@ -45,10 +45,10 @@ def prepare_controller(request: ControllerRequest, rig: Rig) -> PreparedControll
     """Read and check the controller of a request for an axis that ``rig`` has."""
     digest = digest_of(request, rig)
     axis = rig.axes[request.axis]
-    if len(request.document) > MAX_DOCUMENT_BYTES:
+    if len(request.document) > MAX_DOCUMENT_CHARACTERS:
         refusal = (
             f"{request.name}: the controller file has {len(request.document)} characters, limit "
-            f"{MAX_DOCUMENT_BYTES}"
+            f"{MAX_DOCUMENT_CHARACTERS}"
         )
         return PreparedController(digest, refusal, None, False)
     try:

@@ -26,6 +26,8 @@ _MCL_FUTURE: Final = 2  # linux: asm-generic/mman.h
 _PR_SET_TIMERSLACK: Final = 29  # linux: linux/prctl.h
 _PR_GET_TIMERSLACK: Final = 30  # linux: linux/prctl.h
 _CAP_IPC_LOCK: Final = 14  # linux: linux/capability.h
+POLLING_IS_OFF: Final = "turned off (rig: loop.poll_before_deadline_s)"
+"""Detail of the right to poll if the rig file does not want it."""
 _MIN_RTTIME_US: Final = 200_000
 """Smallest limit RLIMIT_RTTIME under which the loop takes SCHED_FIFO.
 
@@ -157,7 +159,7 @@ def _allow_polling(wanted_s: float, processors: int, _restore: contextlib.ExitSt
     would take time from the boards, the recorder and the kernel.
     """
     if wanted_s <= 0:
-        raise OSError(0, "turned off (rig: loop.poll_before_deadline_s)")
+        raise OSError(0, POLLING_IS_OFF)
     if not _is_fifo():
         raise OSError(0, "not useful without SCHED_FIFO")
     if processors < 2:

@@ -171,6 +171,10 @@ class Client:
             pass
         return text
 
+    def answer_to(self, call: AnyCall) -> Answer:
+        """Make any request of the protocol, and return the answer, also if it is a refusal."""
+        return self._lines.ask(call)
+
     def close(self) -> None:
         """Disconnect."""
         self._lines.close()
@@ -188,7 +192,7 @@ class Client:
         return self._id
 
     def _ask(self, call: AnyCall) -> Answer:
-        answer = self._lines.ask(call)
+        answer = self.answer_to(call)
         if not answer.accepted:
             raise RequestRefusedError(answer.text)
         return answer

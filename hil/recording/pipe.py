@@ -58,8 +58,6 @@ class RecorderPipe:
         self._backlog_bytes = 0
         self._written_of_first = 0
         self._process = _start_process(path, lossless)
-        self._file_id = _file_id(path)
-        """Device and inode of the present file; None for a file that the process has opened later."""
         assert self._process.stdin is not None and self._process.stderr is not None
         self._stdin, self._stderr = self._process.stdin, self._process.stderr
         os.set_blocking(self._stdin.fileno(), False)
@@ -106,7 +104,6 @@ class RecorderPipe:
         self.failure = self.progress = None
         self.dropped.clear()
         self._path = path
-        self._file_id = None
         self.send(block, NEXT)
         return True
 
@@ -144,14 +141,7 @@ class RecorderPipe:
             self._fail(f"the recorder process did not end within {TIMEOUT_S:g} s and was killed")
         elif status != 0:
             self._fail(self._reason_of_end())
-        elif not self._is_in_place():
-            self._fail("the file was removed or replaced while it was written")
         self._stderr.close()
-
-    def _is_in_place(self) -> bool:
-        """Return whether the present file still has its name."""
-        found = _file_id(self._path)
-        return found is not None and self._file_id in (None, found)
 
     def _drop(self, block: bytearray) -> None:
         kind, _ = BLOCK_HEADER.unpack_from(block)
@@ -182,15 +172,6 @@ class RecorderPipe:
         return reasons[-1].removeprefix(FAILED) if reasons else "the recorder process was killed"
 
 
-def _file_id(path: Path) -> tuple[int, int] | None:
-    """Return device and inode of the file that ``path`` names; None if there is none."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
-
-
 def _start_process(path: Path, lossless: bool) -> subprocess.Popen[bytes]:
     """Start the process with ``path`` as its stdout. Raises RecordingError."""
     try:
@@ -203,7 +184,7 @@ def _start_process(path: Path, lossless: bool) -> subprocess.Popen[bytes]:
         raise RecordingError(f"{path}: cannot be created: {error.strerror}") from None
     try:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", PROCESS_MODULE, LOSSLESS if lossless else REAL_TIME],
+            [sys.executable, "-P", "-m", PROCESS_MODULE, LOSSLESS if lossless else REAL_TIME, str(path)],
             stdin=subprocess.PIPE,
             stdout=file,
             stderr=subprocess.PIPE,

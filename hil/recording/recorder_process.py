@@ -51,7 +51,7 @@ def main() -> None:
         signal.signal(signum, signal.SIG_IGN)
     os.set_blocking(REPORTS, False)
     is_real_time = sys.argv[1] != LOSSLESS
-    files = _Files()
+    files = _Files(Path(sys.argv[2]))
     record(files, is_real_time)
     if files.failure is not None:
         sys.exit(files.failure)
@@ -76,7 +76,8 @@ def record(files: _Files, is_real_time: bool) -> None:
 class _Files:
     """The present file and those after it."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self._output = OUTPUT
         self._writer: McapWriter | None = None
         """Writer of the present file; None before its header, after its end, and when it has failed."""
@@ -124,6 +125,7 @@ class _Files:
     def _open(self, file: NextFile) -> None:
         """Close the present file, and create the next one."""
         self._writer = None
+        self._path = Path(file.path)
         self.failure = "the file could not be created"
         with contextlib.suppress(OSError):  # An earlier one may have failed to open.
             os.close(self._output)
@@ -131,7 +133,7 @@ class _Files:
         for path in file.remove:
             with contextlib.suppress(FileNotFoundError):
                 Path(path).unlink()
-        self._output = os.open(file.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        self._output = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         self._written = 0
         self.failure = None
 
@@ -139,6 +141,15 @@ class _Files:
         if self._writer is not None:
             writer, self._writer = self._writer, None
             writer.finish(metadata)
+            if not self._is_in_place():
+                raise OSError("the file was removed or replaced while it was written")
+
+    def _is_in_place(self) -> bool:
+        """Return whether the path still names the file that is written."""
+        try:
+            return os.path.samestat(os.fstat(self._output), self._path.stat())
+        except OSError:
+            return False
 
     def _fail(self, error: OSError) -> None:
         self._writer = None

@@ -303,11 +303,15 @@ class BusReplay:
         self._watch((now_ns - begin_ns) * 1e-9 * self._speed, max(recent_ns) * 1e-6)
 
 
-def centre_after(replay: BusReplay, rig: Rig) -> int:
+def centre_after(replay: BusReplay, rig: Rig, reopen: Callable[[], None]) -> int:
     """Centre the valves after a replay of the gateway's side; return how often the command was sent.
 
-    The bus may be gone; the DAC board's watchdog centres the valves then.
+    A bus that fails is opened again by ``reopen``, once. If it is gone, the DAC board's watchdog centres the
+    valves.
     """
     with contextlib.suppress(LinkError):
+        return replay.centre(rig)
+    with contextlib.suppress(LinkError):
+        reopen()
         return replay.centre(rig)
     return 0

@@ -74,6 +74,11 @@ def setup_of(recording: Recording) -> RunSetup:
     texts = {name: text for name, text in recording.documents.items() if is_set_up(name)}
     setup = setup_from_texts(texts, recording.metadata.get("setpoints", {}))
     fingerprint = recording.metadata.get("run", {}).get("configuration sha256")
+    if fingerprint is None and "documents" in recording.metadata:
+        raise RecordingError(
+            f"{recording.path}: metadata run.configuration sha256 is missing, so it is unknown whether "
+            "attachments or setpoints were changed"
+        )
     if fingerprint not in (None, setup.fingerprint()):
         raise RecordingError(
             f"{recording.path}: attachments or metadata setpoints were changed: their SHA-256 is not that in "

@@ -80,6 +80,7 @@ class VcanGateway:
         self._output_path = folder / "vcan-run.log"
         self._command = [sys.executable, "-P", "-m", "hil.cli", "run", "--bus", bus]
         self._command += ["--rig", str(_rig_file(folder, rig)), "--record", str(self.recording_path)]
+        self._command.append("--no-plot")
         self._command += arguments
         self._process: subprocess.Popen[bytes] | None = None
 

@@ -167,8 +167,17 @@ class _BoardState:
 class BusWatch:
     """Collects what the frames on the bus say about the rig."""
 
-    def __init__(self, rig: Rig, bit_rate: int) -> None:
-        """``bit_rate`` is that of the bus, in bit/s."""
+    def __init__(
+        self,
+        rig: Rig,
+        bit_rate: int,
+        on_sample: Callable[[tuple[float, ...]], None] = lambda _volts: None,
+    ) -> None:
+        """``bit_rate`` is that of the bus, in bit/s.
+
+        ``on_sample`` is called with the voltages of the channels of each undamaged sample.
+        """
+        self._on_sample = on_sample
         self._rig = rig
         self._bit_rate = bit_rate
         self._boards = {"adc": _BoardState(ADC_NODE), "dac": _BoardState(DAC_NODE)}
@@ -269,6 +278,7 @@ class BusWatch:
             if self._counter is not None:
                 self._lost += max(((sample.counter - self._counter) & 0xFF) - 1, 0)
             self._counter = sample.counter
+        self._on_sample(sample[:3])
         self._sampled.append((now_ns, sample[:3]))
         while now_ns - self._sampled[0][0] > SPEED_WINDOW_NS:
             self._sampled.popleft()

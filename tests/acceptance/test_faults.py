@@ -34,7 +34,8 @@ def run(path: Path, *options: str) -> Recording:
 
 
 def test_a_lockstep_run_with_faults_gives_the_same_bytes_and_a_replay(tmp_path: Path) -> None:
-    first = run(tmp_path / "a.mcap", "--lockstep", *FAULTS, "--seed", "3")
+    first = run(tmp_path / "a.mcap", "--lockstep", "--no-plot", *FAULTS, "--seed", "3")
+    assert not (tmp_path / "a.png").exists()
     second = run(tmp_path / "b.mcap", "--lockstep", *FAULTS, "--seed", "3")
     assert first.path.read_bytes() == second.path.read_bytes()
     assert list(first.metadata[FAULTS_BEGUN].values()) == ["lose:sample,20%@0.5/0.5", "unplug@vertical>0.05"]
@@ -58,7 +59,7 @@ def test_the_same_fault_stops_a_run_in_real_time(tmp_path: Path) -> None:
 def test_a_fault_of_the_host_is_refused_in_real_time(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ["--record", str(tmp_path / "run.mcap"), "--fault", "stall:0.1@1"]
+    options = ["--record", str(tmp_path / "run.mcap"), "--no-plot", "--fault", "stall:0.1@1"]
     assert main(["run", *options]) == 2
     assert "acts on the gateway's host in simulated time only" in capsys.readouterr().err
 

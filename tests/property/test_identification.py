@@ -195,7 +195,8 @@ LEVELS = pytest.mark.parametrize("level", [0.5, 0.9, 0.99])
 def test_region_of_the_response_contains_the_true_one_as_often_as_it_should(
     kind: str, level: float, index: int
 ) -> None:
-    # A search of OE order 6 can end in a local minimum, whose region is not that of the best model.
+    # At order 6, other sets of poles than the true ones often explain a record as well or better: the best
+    # model then lies far from the true system, and its region does not contain it. The report says so.
     counted = [case for case in cases(kind) if kind == "continuous" or case.true.order < 6]
     inside = sum(case.response_distances[index] <= chi2.ppf(level, 2) for case in counted)
     assert_probable(inside, len(counted), level)

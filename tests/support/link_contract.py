@@ -133,6 +133,27 @@ class LinkContract:
         arrived(receiver)
         assert not select.select([receiver], [], [], 0)[0]
 
+    def test_a_link_that_is_opened_again_works_and_keeps_its_counters(self, pair: Pair) -> None:
+        one, other = pair
+        one.send(Frame(0x001))
+        assert arrived(other) == Frame(0x001)
+        counters = (one.send_failures, one.dropped(), one.unreadable)
+        one.reopen()
+        assert (one.send_failures, one.dropped(), one.unreadable) == counters
+        for sender, receiver in ((one, other), (other, one)):
+            sender.send(Frame(0x002, b"back"))
+            assert arrived(receiver) == Frame(0x002, b"back")
+        assert one.receive(0) is None, "own frames from before are not received"
+
+    def test_frames_of_both_directions_keep_their_order_while_both_send(self, pair: Pair) -> None:
+        one, other = pair
+        numbers: dict[Link, list[int]] = {one: [], other: []}
+        for number in range(200):
+            for sender, receiver in ((one, other), (other, one)):
+                sender.send(Frame(0x100, number.to_bytes(2, "little")))
+                numbers[receiver].append(int.from_bytes(arrived(receiver).data, "little"))
+        assert numbers[one] == numbers[other] == list(range(200))
+
     def test_closing_twice_is_no_error_and_later_use_is_one(self, pair: Pair) -> None:
         link, _ = pair
         link.close()

@@ -73,6 +73,7 @@ EXPORTED = {
         "Identification",
         "LoopMargins",
         "Plant",
+        "Record",
         "RecordRefusedError",
         "Sampling",
         "controller_to_control",
@@ -86,6 +87,7 @@ EXPORTED = {
         "paper_plant",
         "plant_from_control",
         "plant_to_control",
+        "read_record",
         "write_design",
     ],
 }

@@ -22,6 +22,13 @@ def wait_for_receivers(count: int) -> None:
         assert time.monotonic() < deadline, RECEIVERS.read_text()
 
 
+def wait_for_interface(name: str) -> None:
+    """Wait until slcand has made an interface, and bring it up."""
+    deadline = time.monotonic() + 5
+    while subprocess.run(["ip", "link", "set", name, "up"], stderr=subprocess.DEVNULL).returncode:
+        assert time.monotonic() < deadline, "slcand made no interface"
+
+
 def ip(*arguments: str) -> None:
     subprocess.run(["ip", *arguments], check=True)
 
@@ -54,6 +61,22 @@ class TestSocketCan(LinkContract, ErrorFrameContract):
         for frame in KINDS:
             subprocess.run(["cansend", "vcan0", str(frame)], check=True)
             assert arrived(pair[0]) == frame
+
+
+class TestKernelSlcan(LinkContract):
+    """A serial adapter as an interface that slcand makes; the other link is another serial adapter."""
+
+    origin = "kernel"
+
+    @pytest.fixture
+    def pair(self) -> Iterator[Pair]:
+        with TwoAdapters() as adapters:
+            slcand = subprocess.Popen(["slcand", "-F", "-o", "-c", "-s6", adapters.one.device, "slcan8"])
+            wait_for_interface("slcan8")
+            with open_link(f"slcan:{adapters.other.device}") as one, open_link("slcan8") as other:
+                yield one, other
+            slcand.terminate()
+            assert slcand.wait(timeout=5) == 0
 
 
 class TestInterface:
@@ -119,9 +142,7 @@ class TestInterface:
 def test_slcand_and_a_serial_link_are_two_ends_of_one_bus() -> None:
     with TwoAdapters() as adapters:
         slcand = subprocess.Popen(["slcand", "-F", "-o", "-c", "-s6", adapters.one.device, "slcan7"])
-        deadline = time.monotonic() + 5
-        while subprocess.run(["ip", "link", "set", "slcan7", "up"], stderr=subprocess.DEVNULL).returncode:
-            assert time.monotonic() < deadline, "slcand made no interface"
+        wait_for_interface("slcan7")
         with open_link("slcan7") as one, open_link(f"slcan:{adapters.other.device}") as other:
             for frame in KINDS:
                 one.send(frame)

@@ -14,7 +14,7 @@ from hil.core.rig import POLL_BEFORE_DEADLINE_S
 from hil.host.doctor import kernel_files
 from hil.host.doctor.check import Check, check
 from hil.host.doctor.kernel_files import read_line
-from hil.host.realtime_rights import Right, real_time_rights
+from hil.host.realtime_rights import POLLING_IS_OFF, Right, real_time_rights
 
 PERIOD_NS: Final = 11_200_000
 """Period of the measured wake-ups: that of the example rig."""
@@ -43,9 +43,12 @@ _CONTAINER_ADVICE: Final = {
 """Advice for root, who has these rights everywhere except in a container that was started without them."""
 
 
-def rights_and_wake_ups() -> Iterator[Check]:
-    """Take the real-time rights as a run does, and measure with them how late this thread wakes up."""
-    with real_time_rights(POLL_BEFORE_DEADLINE_S) as rights:
+def rights_and_wake_ups(poll_before_deadline_s: float = POLL_BEFORE_DEADLINE_S) -> Iterator[Check]:
+    """Take the real-time rights as a run does, and measure with them how late this thread wakes up.
+
+    ``poll_before_deadline_s`` is that of the rig file, in seconds.
+    """
+    with real_time_rights(poll_before_deadline_s) as rights:
         lateness_ns = wake_up_lateness_ns(rights.poll_ns)
     for right in rights:
         yield check(right.name, right.detail, "" if right.is_granted else rights_advice(right))
@@ -59,8 +62,11 @@ def rights_and_wake_ups() -> Iterator[Check]:
 
 
 def rights_advice(right: Right) -> str:
-    """Return how to obtain a refused right; an empty text if this machine does not know the right."""
-    if right.detail == os.strerror(errno.ENOENT):
+    """Return how to obtain a refused right; an empty text if there is nothing to do.
+
+    That is so if this machine does not know the right, or if the rig file turns it off.
+    """
+    if right.detail in (os.strerror(errno.ENOENT), POLLING_IS_OFF):
         return ""
     advice = (_USER_ADVICE if os.geteuid() else _CONTAINER_ADVICE).get(right.name, "")
     return advice.format(user=os.environ.get("USER", "USER"))

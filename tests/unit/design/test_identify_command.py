@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from support.identified import identified
 
-from design.identify_command import labelled, parser
+from design.identify_command import labelled, model_lines, parser
 
 
 def error_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -41,3 +42,15 @@ def test_a_long_finding_is_filled_to_the_width_behind_its_label() -> None:
     assert all(line.startswith(" " * 12) for line in lines[1:])
     assert len(lines) > 2
     assert max(map(len, lines)) <= 80
+
+
+def test_conditions_are_numbers_where_they_can_be(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["data.csv", "--condition", "load_kg=3", "--condition", "supply = low"]
+    assert parser().parse_args(arguments).condition == [("load_kg", 3.0), ("supply", "low")]
+    assert "'3 kg' is not KEY=VALUE, such as load_kg=3" in error_of(["--condition", "3 kg"], capsys)
+
+
+def test_gain_poles_and_zeros_are_printed_with_their_intervals() -> None:
+    lines = model_lines(identified(), "m")
+    assert [label for label, _ in lines] == ["gain", "mode", "zero", "dead time"]
+    assert all(" ± " in text for label, text in lines if label != "dead time")

@@ -23,7 +23,7 @@ def rows(count: int = 200) -> list[str]:
 
 class TestCsv:
     def test_columns_and_sample_time_are_read(self, tmp_path: Path) -> None:
-        record = read_record(write(tmp_path / "data.csv", rows()), unit="rad")
+        record = read_record(str(write(tmp_path / "data.csv", rows())), unit="rad")
         experiment = record.experiment
         assert experiment.sample_time_s == pytest.approx(TS)
         assert experiment.u[:4].tolist() == [0.0, 1.0, 2.0, 0.0]

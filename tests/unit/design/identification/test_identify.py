@@ -15,8 +15,14 @@ from design.identification.findings import Kind, Severity
 from design.identification.identify import identify, identify_experiments
 from design.identification.models.held_discretisation import hold
 from design.identification.models.model import ContinuousModel
-from design.identification.models.structures import Arx, OutputError
-from design.identification.order_search import Criterion, output_error_orders, search_orders
+from design.identification.models.structures import Arx, ContinuousPoles, OutputError, parse_structure
+from design.identification.order_search import (
+    MAX_CONTINUOUS_ORDER,
+    Criterion,
+    orders_of_kind,
+    output_error_orders,
+    search_orders,
+)
 from design.identification.records.experiment import Experiment, Names
 from firmware_sim import shipped_arm
 
@@ -196,6 +202,28 @@ def test_orders_that_the_data_cannot_determine_say_so() -> None:
     assert table.rows[1].bic == table.rows[1].aic == np.inf
     with pytest.raises(DesignError, match="no structure of the search has a model"):
         search_orders([short], [short], [OutputError(4, 8, 1)]).best()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "OE(1,3,1)",
+        "ARX(2,1,1)",
+        "ARMAX(2,1,1,1)",
+        "BJ(1,1,1,2,1)",
+        "continuous(real=1, pairs=1, integrators=1, max_dead_time_s=0.05)",
+    ],
+)
+def test_the_orders_of_a_search_are_of_the_kind_that_was_given(text: str) -> None:
+    given = parse_structure(text)
+    orders = orders_of_kind(given)
+    assert {type(structure) for structure in orders} == {type(given)}
+    assert given in orders
+    assert len(set(orders)) == len(orders) <= 60
+    for structure in orders:
+        if isinstance(structure, ContinuousPoles):
+            assert (structure.integrators, structure.max_dead_time_s) == (1, 0.05)
+            assert structure.order <= MAX_CONTINUOUS_ORDER + 1
 
 
 def test_the_usual_orders() -> None:

@@ -19,7 +19,11 @@ from design.identification.models.structures import OutputError
 from design.identification.order_search import OrderTable, Row, search_orders
 from design.identified_plant import identified_plant
 from design.models.plant import Plant
-from design.output.identification_report import render_identification, write_identification_report
+from design.output.identification_report import (
+    interval_note,
+    render_identification,
+    write_identification_report,
+)
 
 STRUCTURES = ("OE(2,2,1)", "ARX(2,2,1)", "BJ(2,1,1,2,1)", "continuous(real=0,pairs=1,zeros=1)")
 HOSTILE = '"><script>alert(1)</script>'
@@ -172,6 +176,13 @@ def test_properties_are_shown_with_their_95_percent_intervals() -> None:
     assert "dead time 0 fixed by the structure ms" in text
     assert re.search(r"pole pair −\S+ ± \S+ j real −", text)
     assert re.search(r" zero −\S+ −\S+ to ", text)
+
+
+def test_the_limits_of_the_intervals_are_stated_for_large_orders() -> None:
+    assert interval_note(3) == ""
+    assert "Each holds by itself" in interval_note(4) == interval_note(5)
+    assert "other sets of poles" in interval_note(6)
+    assert interval_note(4) in text_of(html_of(identified("OE(1,4,1)")))
 
 
 def test_the_bode_diagram_has_the_model_over_the_response_measured_without_one() -> None:

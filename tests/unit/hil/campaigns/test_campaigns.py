@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+import os
 from pathlib import Path
 from unittest import mock
 
@@ -16,6 +15,7 @@ from firmware_sim.boards.codec import encode_values
 from hil.campaigns import result_files, runner
 from hil.campaigns.campaign_file import Campaign, case_at, case_count, find_campaign, read_campaign
 from hil.campaigns.case import CaseResult, commands_keep_limits, run_case
+from hil.campaigns.page import worst_cases
 from hil.campaigns.result_files import ResultFolder
 from hil.campaigns.summary import SHOWN_FAILURES, summarise_campaign
 from hil.cli import main
@@ -164,8 +164,9 @@ def test_commands_are_judged_by_magnitude_and_rate() -> None:
 
 
 def test_the_command_gives_the_same_bytes_with_any_number_of_processes_and_resumes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("hil.campaigns.page.PLOTTED_CASES", 0)
     file = tmp_path / "two.toml"
     file.write_text(TEXT)
     with mock.patch.object(runner, "CASES_AT_ONCE", 3):
@@ -190,6 +191,7 @@ def test_failed_cases_are_named_with_the_command_that_runs_them_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hil.campaigns.page.PLOTTED_CASES", 2)
     Path("bad.toml").write_text(
         TEXT.replace("max_periods = 6", "max_periods = 1").replace("draws = 2", "draws = 1")
     )
@@ -200,6 +202,12 @@ def test_failed_cases_are_named_with_the_command_that_runs_them_again(
     )
     assert "hil campaign bad.toml --case 0 --record case-0.mcap" in output
     assert "4 cases, 2 failed" in output
+    page = Path("campaigns/bad/report.html").read_text()
+    assert page.index("Case 0:") < page.index("Case 2:"), "failed cases come first"
+    assert "hil campaign bad.toml --case 0 --record case-0.mcap" in page
+    assert {path.name for path in Path("campaigns/bad/cases").iterdir()} == {
+        f"case-{number}.{suffix}" for number in (0, 2) for suffix in ("mcap", "png")
+    }
     assert main(["campaign", "bad.toml", "--case", "0", "--record", "case-0.mcap"]) == 1
     assert "centred_after_periods  5" in capsys.readouterr().out
     assert main(["replay", "case-0.mcap"]) == 0
@@ -217,10 +225,27 @@ def test_an_interrupted_campaign_says_how_to_go_on(
     assert "interrupted after 0 cases; the same command goes on from there" in capsys.readouterr().out
 
 
-def test_a_process_that_ends_is_an_error_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ProcessPoolExecutor, "submit", mock.Mock(side_effect=BrokenProcessPool))
-    with pytest.raises(HilError, match="run the same command again to go on"):
+def end_process(*_arguments: object) -> None:
+    os._exit(3)
+
+
+def test_a_process_that_ends_is_an_error_with_the_remedy() -> None:
+    with (
+        mock.patch.object(runner, "run_group", end_process),
+        pytest.raises(HilError, match="run the same command again to go on"),
+    ):
         list(runner.run_cases(campaign(), 0, 2))
+
+
+def test_the_results_that_wait_are_few_however_many_cases_there_are() -> None:
+    many = campaign(TEXT.replace("draws = 2", "draws = 1000000"))
+    with mock.patch.object(runner, "ProcessPoolExecutor") as pool:
+        results = runner.run_cases(many, 0, 2)
+        submit = pool.return_value.submit
+        assert submit.call_count == 8
+        for number in range(5):
+            next(results)
+            assert submit.call_count == 9 + number
 
 
 def result(number: int, verdict: str = "pass", periods: int | None = 3) -> CaseResult:
@@ -243,6 +268,11 @@ def test_tables_have_one_row_for_each_case(tmp_path: Path, monkeypatch: pytest.M
     with folder.write_table().open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert (len(rows), rows[0]["fault"], rows[1]["centred_after_periods"]) == (25, "lose:sample@1", "")
+
+
+def test_failed_cases_are_worse_than_slow_ones() -> None:
+    results = [result(0), result(1, periods=9), result(2, "fail", 1), result(3, periods=None)]
+    assert [found.number for found in worst_cases(results, 3)] == [2, 1, 0]
 
 
 def test_a_folder_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:

@@ -7,8 +7,9 @@ import io
 import pytest
 
 from hil.cli import confirmation, main
-from hil.cli.confirmation import confirm_motion, is_real, motion_lines
+from hil.cli.confirmation import confirm_motion, motion_lines
 from hil.core.errors import HilError
+from hil.shells.real_bus import is_real
 from hil.shells.run_setup import RunSetup, load_setup
 
 

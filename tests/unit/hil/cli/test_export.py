@@ -8,6 +8,7 @@ from pathlib import Path
 import can
 import pandas
 import pytest
+from mcap.writer import Writer
 from support.recorded_runs import record_run
 
 from hil.cli import main
@@ -82,6 +83,7 @@ def test_force_overwrites(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
         (["none.mcap", "--to", "csv"], "none.mcap: cannot be read: No such file"),
         (["empty.mcap", "--to", "csv"], "empty.mcap: "),
         (["fifo.mcap", "--to", "csv"], "fifo.mcap: not a regular file"),
+        (["theirs.mcap", "--to", "csv"], "theirs.mcap: not the recording of a run"),
         (["run.mcap", "--to", "csv", "-o", "none/run.csv"], "there is no directory none"),
         (["run.mcap", "--to", "csv", "-o", "run.mcap", "--force"], "is the file that is being read"),
         (["run.mcap", "--to", "csv", "--axis", "elbow"], "no axis 'elbow'"),
@@ -93,9 +95,25 @@ def test_what_is_wrong_is_said_in_one_line_and_leaves_no_file(
 ) -> None:
     os.mkfifo("fifo.mcap")
     Path("empty.mcap").touch()
+    with Path("theirs.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        writer.add_message(writer.register_channel("/any", "json", schema), 1, b"{}", 1)
+        writer.finish()
     before = sorted(folder.iterdir())
     assert message in failed(capsys, "export", *arguments)
     assert sorted(folder.iterdir()) == before
+
+
+def test_a_recording_that_was_cut_off_is_exported_as_far_as_it_goes(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = Path("run.mcap").read_bytes()
+    Path("cut.mcap").write_bytes(content[: len(content) * 2 // 3])
+    assert main(["export", "cut.mcap", "--to", "csv"]) == 0
+    assert "cut.mcap: was cut off, so its end is missing" in capsys.readouterr().err
+    assert 100 < len(pandas.read_csv("cut.csv")) < 306
 
 
 class TestImport:

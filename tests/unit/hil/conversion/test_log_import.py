@@ -140,7 +140,8 @@ def test_error_remote_extended_and_fd_frames(tmp_path: Path) -> None:
     log.write_text(
         "(1.000000) can0 20000044#0102030405060708\n(1.000100) can0 710#R\n(1.000200) can0 710#R8\n"
         "(1.000300) can0 12345678#01\n(1.000400) can0 123##100112233445566778899\n\n"
-        "(1.000500000) can0 FFF#\n(1.000600) can0 123#112\n(1.000700) can0 123#001122334455667788\n(1.000800) can0 123#R9\n"
+        "(1.000500000) can0 FFF#\n(1.000600) can0 123#112\n(1.000700) can0 123#001122334455667788\n"
+        "(1.000800) can0 123#R9\n"
     )
     result, back = imported(log)
     frames = back.frames("received")

@@ -14,6 +14,7 @@ from pyarrow import parquet
 from scipy.io import loadmat
 
 from hil.conversion.export import Exported, Format, export
+from hil.conversion.frames import bus_frames
 from hil.conversion.signals import Selection, columns_of, signal_blocks
 from hil.core.errors import EnvironmentLackError, RecordingError
 from hil.recording.reader import Recording
@@ -197,3 +198,25 @@ def test_resampling_goes_on_over_the_borders_of_blocks(
     assert len(blocks) > 20
     for name, values in at_once.items():
         assert np.array_equal(np.concatenate([block[name] for block in blocks]), values), name
+
+
+@pytest.mark.parametrize("selection", [WHOLE, Selection(from_s=0.3, to_s=1.7)])
+def test_ranges_that_are_read_one_at_a_time_give_the_whole(
+    run: Recording, monkeypatch: pytest.MonkeyPatch, selection: Selection
+) -> None:
+    """Memory is bounded because no more than one range is held."""
+    (at_once,) = signal_blocks(run, selection)
+    frames = list(bus_frames(run, selection))
+    monkeypatch.setattr("hil.conversion.signals.PART_S", 0.25)
+    blocks = list(signal_blocks(run, selection))
+    assert len(blocks) >= 5
+    assert max(len(block["time_s"]) for block in blocks) <= 25
+    for name, values in at_once.items():
+        assert np.array_equal(np.concatenate([block[name] for block in blocks]), values), name
+    assert list(bus_frames(run, selection)) == frames
+
+
+def test_a_recording_without_an_axis_has_no_signals(run: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Recording, "axes", {})
+    with pytest.raises(RecordingError, match="has no axis, so it has no signals"):
+        columns_of(run, WHOLE)

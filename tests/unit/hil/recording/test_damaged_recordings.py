@@ -15,7 +15,7 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 from support.mcap_files import chunk_starts, record_bytes, records, rewritten, without_crcs, without_end
-from support.recorded_runs import RUN_HEADER, in_memory, record_periods, record_run
+from support.recorded_runs import RUN_HEADER, in_memory, record_periods, record_run, wait_until
 
 from hil.core.errors import RecordingError
 from hil.core.frames import Frame
@@ -373,3 +373,19 @@ class TestWhatIsRecorded:
         folder.rmdir()
         report = recorder.close({})
         assert report.failure == "the file was removed or replaced while it was written"
+
+    def test_a_further_file_that_is_removed_is_a_failure(self, tmp_path: Path) -> None:
+        second = tmp_path / "second.mcap"
+        recorder = Recorder(tmp_path / "first.mcap", RUN_HEADER, lossless=True)
+        assert recorder.begin_file(second, {}, {}, ()) is None
+        wait_until(second.exists, "the second file")
+        second.unlink()
+        assert recorder.close({}).failure == "the file was removed or replaced while it was written"
+
+    def test_a_file_that_was_ended_may_be_moved(self, tmp_path: Path) -> None:
+        path = tmp_path / "run.mcap"
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+        record_periods(recorder, 3)
+        recorder.stop({})
+        path.rename(tmp_path / "moved.mcap")
+        assert recorder.close({}).failure is None

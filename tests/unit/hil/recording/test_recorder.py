@@ -173,7 +173,7 @@ def test_a_chunk_is_written_although_no_batch_follows(tmp_path: Path) -> None:
         record_periods(recorder, 2)
         handed_over = 2 + 200_000_000 // PERIOD_NS
         record_periods(recorder, handed_over - 1, first=2)
-        wait_until(lambda: path.stat().st_size > 0, "the header")
+        wait_until(lambda: b"setpoints" in path.read_bytes(), "the metadata before the first message")
         wait_until(lambda: Recording(path).counts.get("/gateway/cycle", 0) >= handed_over - 2, "a chunk")
         recorder.close({})
     assert len(Recording(path).timing()) == handed_over + 1
@@ -413,6 +413,16 @@ class TestFurtherFiles:
         assert recorder.close({}).failure is None
         assert not Recording(tmp_path / "first.mcap").complete
         assert len(Recording(tmp_path / "second.mcap").timing()) == 20
+
+    def test_a_further_file_that_is_replaced_while_it_is_written_is_reported(self, tmp_path: Path) -> None:
+        second = tmp_path / "second.mcap"
+        recorder = Recorder(tmp_path / "first.mcap", RUN_HEADER, lossless=True)
+        assert self.begin(recorder, second) is None
+        wait_until(second.exists, "the second file")
+        second.rename(tmp_path / "moved.mcap")
+        second.write_text("mine")
+        assert recorder.close({}).failure == "the file was removed or replaced while it was written"
+        assert second.read_text() == "mine"
 
     def test_the_last_file_that_fails_is_reported(self, tmp_path: Path) -> None:
         recorder = Recorder(tmp_path / "first.mcap", RUN_HEADER, lossless=True)

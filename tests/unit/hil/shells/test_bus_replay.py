@@ -241,6 +241,10 @@ def test_samples_answer_each_sync_with_new_counters(recording: Recording, bench:
 class TestCentring:
     """However a replay of the gateway's side ends, the last command centres the valves."""
 
+    @staticmethod
+    def no_reopening() -> None:
+        pytest.fail("a bus that works is not opened again")
+
     @pytest.mark.parametrize("frames", [0, 4, 6])
     def test_the_counter_goes_on_and_the_crc_is_right(
         self, recording: Recording, bench: Bench, frames: int
@@ -254,7 +258,7 @@ class TestCentring:
             replay.run(StopRequest())
         bench.fails_after = None
         del bench.sent[:]
-        assert centre_after(replay, load_rig()) == CENTRING_PERIODS
+        assert centre_after(replay, load_rig(), self.no_reopening) == CENTRING_PERIODS
         commands = [frame for _, frame in bench.sent if frame.id == codec.RPDO1_DAC]
         first = {0: 0, 4: 0x2B, 6: 0x2C}[frames]
         for counter, command in enumerate(commands, first):
@@ -269,7 +273,18 @@ class TestCentring:
     def test_a_bus_that_is_gone_gives_no_error(self, recording: Recording, bench: Bench) -> None:
         replay = BusReplay(bench, schedule_of(recording, Side.GATEWAY), clock_ns=bench.clock_ns)
         bench.fails_after = 0
-        assert centre_after(replay, load_rig()) == 0
+        opened = []
+        assert centre_after(replay, load_rig(), lambda: opened.append(True)) == 0
+        assert opened == [True]
+
+    def test_a_bus_that_fails_is_opened_again(self, recording: Recording, bench: Bench) -> None:
+        replay = BusReplay(bench, schedule_of(recording, Side.GATEWAY), clock_ns=bench.clock_ns)
+        bench.fails_after = 0
+
+        def reopen() -> None:
+            bench.fails_after = None
+
+        assert centre_after(replay, load_rig(), reopen) == CENTRING_PERIODS
 
 
 def test_fresh_samples_have_a_new_counter_and_its_crc() -> None:

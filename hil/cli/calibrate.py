@@ -1,0 +1,320 @@
+"""``hil calibrate``: measure an axis' potentiometer or valve, and write the values into a rig file."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from datetime import date
+from pathlib import Path
+from select import select
+
+from hil.cli.monitor import BIT_RATE, Monitor, bus_to_hear
+from hil.cli.operate import add_socket_option
+from hil.core.calibration import (
+    CalibrationError,
+    End,
+    RestingVolts,
+    check_middle,
+    potentiometer_values,
+    resting_volts,
+    valve_values,
+)
+from hil.core.errors import DocumentError
+from hil.core.rig import AxisSettings, Rig, read_rig
+from hil.core.rig_edit import with_values
+from hil.core.suggestions import did_you_mean
+from hil.host.command_parser import CommandParser
+from hil.host.text_file import read_text
+from hil.links import open_link
+from hil.operation.client import Client, connect
+from hil.shells.run_setup import load_rig
+
+MEASUREMENT_S = 0.6
+"""Time of a measurement at rest, in seconds: 53 samples at the period of the example rig."""
+REFRESH_NS = 200_000_000
+"""Time between two displays of the voltage."""
+JOG_S = 0.3
+"""Time of one jog, in seconds. If this command ends, the axis stops within it."""
+SETTLING_S = 0.1
+"""Time after the begin of a jog from which on its speed is measured, in seconds."""
+REST_S = 0.3
+"""Time between two jogs, in seconds."""
+WATCH_S = 0.05
+STEP_V = 0.02
+"""Step of the valve's offset, in volts. The centre is interpolated between steps."""
+DESCRIPTION = """\
+Measure one axis, and write the values into a rig file, with a comment that says where they come from.
+
+Potentiometer (--low and --high): the valves stay centred and nothing is moved by this program. Switch the
+supply pressure off, move the axis by hand to each end and to a place between them, and press Enter. --low and
+--high are the positions of the ends, measured with a ruler or a protractor.
+
+Valve (--valve): needs a running `hil daemon` in state ready or armed. The axis is moved to and fro by jogs of
+0.3 s with growing voltage, until it moves both ways. Found are the voltage at which it stands still, and the
+dead band. Ctrl-C stops the axis within 0.3 s.
+
+Exit status: 0, or 1 if a measurement makes no sense, 2 for wrong arguments or files."""
+
+
+def parser() -> CommandParser:
+    """Return the parser of the arguments of ``hil calibrate``."""
+    command = CommandParser(prog="hil calibrate", description=DESCRIPTION)
+    command.add_argument("--axis", required=True, metavar="NAME", help="axis of the rig file")
+    command.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the shipped example)")
+    command.add_argument(
+        "--low", type=float, metavar="Y", help="position of the lower end, in the axis' unit"
+    )
+    command.add_argument("--high", type=float, metavar="Y", help="position of the upper end")
+    command.add_argument("--valve", action="store_true", help="find the valve's centre and dead band")
+    command.add_argument("--yes", action="store_true", help="with --valve: do not ask before the axis moves")
+    command.add_argument("--bus", metavar="BUS", help="bus to listen to (default: the rig file's)")
+    where = command.add_mutually_exclusive_group()
+    where.add_argument("-o", "--output", type=Path, metavar="FILE", help="write a new rig file")
+    where.add_argument("--force", action="store_true", help="change the rig file of --rig")
+    add_socket_option(command)
+    return command
+
+
+def main(argv: list[str]) -> int:
+    """Measure, print the values, and write them if a file is given. Raises HilError."""
+    options = parser().parse_args(argv)
+    rig = load_rig(options.rig)
+    _check(options, rig)
+    try:
+        if options.valve:
+            part, values, origin = _valve(options, rig)
+        else:
+            part, values, origin = _potentiometer(options, rig)
+    except CalibrationError as error:
+        sys.stderr.write(f"hil calibrate: {error}\n")
+        return 1
+    table = ("axes", options.axis, part)
+    sys.stdout.write(f"[{'.'.join(table)}]\n")
+    sys.stdout.writelines(f"{key} = {value:.6g}\n" for key, value in values.items())
+    sys.stdout.write(f"# {origin}\n")
+    _write(options, table, values, origin)
+    return 0
+
+
+def _check(options: argparse.Namespace, rig: Rig) -> None:
+    """Check the arguments against each other and the rig. Raises DocumentError."""
+    if options.axis not in rig.axes:
+        raise DocumentError(
+            f"--axis {options.axis}: the axes of the rig are {', '.join(rig.axes)}"
+            f"{did_you_mean(options.axis, rig.axes)}"
+        )
+    ends = (options.low, options.high)
+    if options.valve != (ends == (None, None)) or (None in ends and ends != (None, None)):
+        raise DocumentError(
+            "give --low and --high, the positions of both ends, to calibrate the potentiometer; or --valve"
+        )
+    if options.low is not None and not (math.isfinite(options.low) and math.isfinite(options.high)):
+        raise DocumentError(f"--low {options.low}, --high {options.high}: positions must be finite numbers")
+    if (options.force or options.output) and options.rig is None:
+        raise DocumentError("--rig is missing: name the rig file whose values are to be changed")
+    if options.output and options.output.exists():
+        raise DocumentError(f"{options.output}: exists already and is kept; name another file")
+
+
+# Potentiometer
+
+
+class Ends:
+    """Measures the voltages of an axis that the user moves by hand.
+
+    ``is_entered`` returns True once for each press of Enter.
+    """
+
+    def __init__(
+        self,
+        monitor: Monitor,
+        rig: Rig,
+        axis: str,
+        samples: list[tuple[float, ...]],
+        is_entered: Callable[[], bool],
+        clock_ns: Callable[[], int],
+    ) -> None:
+        """``samples`` is the list to which ``monitor`` adds the voltages of each sample."""
+        self._monitor = monitor
+        self._rig = rig
+        self._axis = axis
+        self._channel = rig.axes[axis].potentiometer.channel
+        self._samples = samples
+        self._is_entered = is_entered
+        self._clock_ns = clock_ns
+
+    def measure(self, place: str) -> RestingVolts:
+        """Ask for the axis at ``place``, wait for Enter, and measure. A useless measurement is repeated."""
+        while True:
+            sys.stderr.write(f"Move {self._axis} by hand to {place}, hold it still, and press Enter.\n")
+            while not self._is_entered():
+                self._monitor.listen_until(self._clock_ns() + REFRESH_NS)
+                self._check_valves()
+                self._show()
+            self._samples.clear()
+            self._monitor.listen_until(self._clock_ns() + round(MEASUREMENT_S * 1e9))
+            try:
+                volts = resting_volts(self._samples, self._channel, self._axis)
+            except CalibrationError as error:
+                sys.stderr.write(f"{error}\n")
+                continue
+            sys.stderr.write(f"{place}: {volts.mean_v[self._channel - 1]:.3f} V\n")
+            return volts
+
+    def _show(self) -> None:
+        if sys.stderr.isatty():
+            volts = f"{self._samples[-1][self._channel - 1]:6.3f} V" if self._samples else "no samples"
+            sys.stderr.write(f"\r{volts}   \r")
+            sys.stderr.flush()
+
+    def _check_valves(self) -> None:
+        """Check that no gateway moves the axis meanwhile. Raises CalibrationError."""
+        valve_v = self._monitor.watch.status(self._clock_ns()).axes[self._axis].valve_v
+        centre_v = self._rig.axes[self._axis].valve.centre_v
+        if valve_v is not None and abs(valve_v - centre_v) > 0.01:
+            raise CalibrationError(
+                f"{self._axis}: a gateway holds its valve at {valve_v:.3f} V, not at the centre "
+                f"{centre_v:g} V: stop it (hil stop), so that nothing moves the axis but your hand"
+            )
+
+
+def _potentiometer(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float], str]:
+    samples: list[tuple[float, ...]] = []
+    unit = rig.axes[options.axis].unit
+    channel = rig.axes[options.axis].potentiometer.channel
+    with open_link(bus_to_hear(options, rig)) as link:
+        clock_ns = time.monotonic_ns
+        monitor = Monitor(link, rig, BIT_RATE, sends_sync=True, clock_ns=clock_ns, on_sample=samples.append)
+        ends = Ends(monitor, rig, options.axis, samples, enter_pressed, clock_ns)
+        low = End(options.low, ends.measure(f"its lower end, {options.low:g} {unit}"))
+        high = End(options.high, ends.measure(f"its upper end, {options.high:g} {unit}"))
+        values = potentiometer_values(rig, options.axis, low, high)
+        check_middle(options.axis, channel, low, high, ends.measure("a place between its ends"))
+    low_v, high_v = (end.volts.mean_v[channel - 1] for end in (low, high))
+    origin = (
+        f"{date.today():%Y-%m-%d} by hil calibrate: {low_v:.3f} V at {low.y:g} {unit}, {high_v:.3f} V at "
+        f"{high.y:g} {unit}"
+    )
+    return "potentiometer", values._asdict(), origin
+
+
+def enter_pressed() -> bool:
+    """Return whether the user has pressed Enter since the last call.
+
+    Raises CalibrationError at the end of the input.
+    """
+    descriptor = sys.stdin.fileno()
+    while select([descriptor], [], [], 0)[0]:
+        character = os.read(descriptor, 1)  # not buffered, so that select sees the rest
+        if not character:
+            raise CalibrationError("the input ended before the measurement was complete")
+        if character == b"\n":
+            return True
+    return False
+
+
+# Valve
+
+
+class JoggedAxis:
+    """Moves an axis by jogs of a running daemon, and measures its speed."""
+
+    def __init__(self, client: Client, axis: str) -> None:
+        self._client = client
+        self._axis = axis
+        self.recording: str | None = None
+        """Recording of the daemon during the last jog."""
+
+    def speed(self, offset_v: float) -> float:
+        """Jog once and return the speed in the axis' unit per s, then let the axis come to rest."""
+        points: list[tuple[float, float]] = []
+        began_ns: int | None = None
+        self._client.jog(self._axis, offset_v, JOG_S)
+        for time_ns, position in self._positions():
+            began_ns = time_ns if began_ns is None else began_ns
+            elapsed_s = (time_ns - began_ns) * 1e-9
+            if SETTLING_S <= elapsed_s <= JOG_S:
+                points.append((elapsed_s, position))
+            if elapsed_s > JOG_S + REST_S:
+                break
+        if len(points) < 2:
+            raise CalibrationError(
+                f"{self._axis}: the daemon gave no positions during the jog; is it in a fault?"
+            )
+        (first_s, first), (last_s, last) = points[0], points[-1]
+        return (last - first) / (last_s - first_s)
+
+    def _positions(self) -> Iterator[tuple[int, float]]:
+        with contextlib.closing(self._client.watch(WATCH_S)) as updates:  # type: ignore[type-var]
+            for status in updates:
+                self.recording = status.recording
+                if status.state == "fault":
+                    raise CalibrationError(f"{self._axis}: the daemon is in a fault: {status.fault}")
+                for axis in status.axes:
+                    if axis.name == self._axis and axis.position is not None:
+                        yield status.time_ns, axis.position
+
+
+def _valve(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float], str]:
+    settings = rig.axes[options.axis]
+    with connect(options.socket) as client:
+        state = client.status().state
+        if state not in ("ready", "armed"):
+            raise CalibrationError(
+                f"{options.axis}: the daemon is in state {state}; bring it to ready or armed (hil status)"
+            )
+        _confirm(options, settings)
+        if state == "ready":
+            client.arm()
+        try:
+            axis = JoggedAxis(client, options.axis)
+            found = valve_values(rig, options.axis, axis.speed, STEP_V)
+        finally:
+            if state == "ready":
+                client.disarm()
+    origin = f"{date.today():%Y-%m-%d} by hil calibrate: dead band {found.dead_band_v:.3f} V"
+    if axis.recording:
+        origin += f", recording {Path(axis.recording).name}"
+    return "valve", {"centre_v": round(found.centre_v, 3)}, origin
+
+
+def _confirm(options: argparse.Namespace, settings: AxisSettings) -> None:
+    """Ask before the axis moves. Raises CalibrationError without a yes."""
+    if options.yes:
+        return
+    sys.stderr.write(
+        f"{options.axis} will move to and fro, with up to {settings.operator_limits.jog_max_v:g} V from the "
+        "valve's centre. Is its range free of people? Type yes: "
+    )
+    sys.stderr.flush()
+    if sys.stdin.readline().strip().lower() != "yes":
+        raise CalibrationError("not confirmed; nothing was moved")
+
+
+# The rig file
+
+
+def _write(
+    options: argparse.Namespace, table: tuple[str, ...], values: dict[str, float], origin: str
+) -> None:
+    """Write the values to the file that the user has named. Raises DocumentError."""
+    path: Path | None = options.rig if options.force else options.output
+    if path is None:
+        sys.stdout.write(
+            "not written: give -o NEW.toml for a new rig file, or --force to change that of --rig\n"
+        )
+        return
+    edited = with_values(read_text(options.rig), table, values, origin, str(options.rig))
+    read_rig(edited, f"{options.rig} with these values")
+    temporary = path.with_name(f"{path.name}.new")
+    try:
+        temporary.write_text(edited, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise DocumentError(f"{path}: cannot be written: {error.strerror}") from None
+    sys.stdout.write(f"{path} written\n")

@@ -1,0 +1,96 @@
+"""Where the page is served: a listening socket, a token, and the names by which a browser may call it."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import secrets
+import socket
+import sys
+from dataclasses import dataclass
+
+from hil.core.errors import EnvironmentLackError
+
+LOOPBACK = "127.0.0.1"
+TOKEN_BYTES = 24
+
+
+@dataclass(frozen=True)
+class Address:
+    """A listening socket and the token without which the server answers nothing."""
+
+    listener: socket.socket
+    hosts: list[str]
+    """Values of the header ``Host`` that are accepted, with the port."""
+    token: str
+
+    def __enter__(self) -> Address:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        """Close this process' listening socket; the serving process has its own."""
+        self.listener.close()
+
+    @property
+    def url(self) -> str:
+        """Address for the browser, with the token."""
+        return f"http://{self.hosts[0]}/?token={self.token}"
+
+
+def open_address(host: str = LOOPBACK, port: int = 0) -> Address:
+    """Listen on ``host`` and ``port`` (0: any free one). Raises EnvironmentLackError.
+
+    Warns if other machines can open the page.
+    """
+    check_installed()
+    if host != LOOPBACK:
+        sys.stderr.write(
+            f"hil: the page is served on {host}, without encryption: whoever can read the network can read "
+            "the token, and then sees what the page shows and does what it may\n"
+        )
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(32)
+    except OSError as error:
+        listener.close()
+        raise EnvironmentLackError(
+            f"the page cannot be served on {host}:{port}: {error.strerror}; choose another --port or --host"
+        ) from None
+    listener.setblocking(False)
+    port = listener.getsockname()[1]
+    names = [host] if host not in (LOOPBACK, "0.0.0.0") else [LOOPBACK, "localhost"]
+    if host == "0.0.0.0":
+        names = [socket.gethostname(), *names]
+    return Address(listener, [f"{name}:{port}" for name in names], secrets.token_urlsafe(TOKEN_BYTES))
+
+
+def add_address_options(command: argparse._ActionsContainer) -> None:
+    """Add the options ``--port`` and ``--host`` of the page."""
+    command.add_argument(
+        "--port", type=int, default=0, metavar="N", help="port of the page (default: a free one)"
+    )
+    command.add_argument(
+        "--host",
+        default=LOOPBACK,
+        metavar="ADDRESS",
+        help=f"address to listen on (default {LOOPBACK}: this machine alone)",
+    )
+
+
+def add_page_options(command: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Add the options of a command that can show its run on the page. Return their group."""
+    group = command.add_argument_group("page in the browser")
+    group.add_argument("--live", action="store_true", help="show the run on a page in the browser")
+    add_address_options(group)
+    return group
+
+
+def check_installed() -> None:
+    """Raise EnvironmentLackError if the packages that serve and draw the page are not installed."""
+    missing = [name for name in ("tornado", "bokeh") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise EnvironmentLackError(
+            f"the live page needs {' and '.join(missing)}: run `pip install 'pneumatic-hil[live]'`"
+        )

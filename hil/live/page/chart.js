@@ -1,0 +1,98 @@
+"use strict";
+// Charts over a common time axis, drawn by BokehJS.
+
+Bokeh.set_log_level("error");  // an empty chart has no range yet, which BokehJS warns of
+const DARK = window.matchMedia("(prefers-color-scheme: dark)");
+// Okabe and Ito's colours, which colour-blind people can tell apart; a lighter blue on a dark ground.
+const COLOURS = () => (DARK.matches ? { measured: "#56b4e9", wanted: "#e69f00" } : { measured: "#0072b2", wanted: "#b35900" });
+const colourOf = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+function dress(figure) {
+  for (const [key, value] of Object.entries({
+    background_fill_color: colourOf("--back"), border_fill_color: colourOf("--back"), outline_line_color: colourOf("--line"),
+  })) figure[key] = value;
+  for (const axis of [...figure.below, ...figure.left]) {
+    axis.major_label_text_color = axis.axis_label_text_color = colourOf("--soft");
+    axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = colourOf("--line");
+  }
+  for (const grid of figure.center) if ("grid_line_color" in grid) grid.grid_line_color = colourOf("--line"), grid.grid_line_alpha = 0.6;
+}
+
+function makeFigure(options) {
+  const figure = new Bokeh.Plotting.Figure({ sizing_mode: "stretch_width", toolbar_location: null, ...options });
+  figure.min_border_left = 58;
+  figure.output_backend = "canvas";
+  dress(figure);
+  return figure;
+}
+
+// One chart. `lines`: [{name, label, colour, dashed}], `floor`: smallest height of the y axis, in `unit`, so that
+// the noise of a signal at rest does not fill the chart. `onMove` is called when the user zooms or pans.
+class Chart {
+  constructor(parent, title, unit, lines, floor, onMove) {
+    this.lines = lines;
+    this.box = document.createElement("div");
+    this.box.className = "chart";
+    this.box.innerHTML = `<h3></h3><div></div>`;
+    const heading = this.box.firstChild;
+    heading.append(title);
+    this.values = lines.map((line) => {
+      const span = document.createElement("span");
+      span.className = line.dashed ? "key dashed" : "key";
+      span.style.setProperty("--c", line.colour);
+      span.textContent = line.label;
+      heading.append(span);
+      return span;
+    });
+    parent.append(this.box);
+    this.source = new Bokeh.ColumnDataSource({ data: Object.fromEntries([["t", []], ...lines.map((l) => [l.name, []])]) });
+    const y_range = new Bokeh.DataRange1d({ min_interval: floor, range_padding: 0.08, only_visible: true });
+    const x_range = new Bokeh.Range1d({ start: 0, end: 30 });
+    x_range.change.connect(() => { if (!this.isMoving) onMove(x_range.start, x_range.end); });
+    this.figure = makeFigure({ height: 190, x_range, y_range, tools: "xpan,xwheel_zoom,xbox_zoom,crosshair,hover", active_scroll: null });
+    for (const tool of this.figure.toolbar.tools) {
+      if (tool.type !== "HoverTool") continue;
+      tool.mode = "vline";
+      tool.tooltips = [["time", "@t{0.000} s"], ...lines.map((l) => [l.label, `@{${l.name}}{0.0000} ${unit}`])];
+      tool.renderers = [];
+    }
+    this.figure.yaxis.axis_label = unit;
+    const renderers = lines.map((line) => this.figure.line({ field: "t" }, { field: line.name }, {
+      source: this.source, line_color: line.colour, line_width: line.dashed ? 1.6 : 1.8, line_dash: line.dashed ? "dashed" : "solid",
+    }));
+    for (const tool of this.figure.toolbar.tools) if (tool.type === "HoverTool") tool.renderers = [renderers[0]];
+    Bokeh.Plotting.show(this.figure, this.box.lastChild);
+  }
+  // Show the times from `start` to `end`.
+  move(start, end) {
+    this.isMoving = true;
+    this.figure.x_range.setv({ start, end });
+    this.isMoving = false;
+  }
+  // `columns`: one array for each line.
+  draw(t, columns) {
+    const data = { t };
+    this.lines.forEach((line, i) => { data[line.name] = columns[i]; });
+    this.source.data = data;
+  }
+  label(values) { this.values.forEach((span, i) => { span.textContent = `${this.lines[i].label} ${values[i]}`; }); }
+}
+
+class Histogram {
+  constructor(parent, title) {
+    this.source = new Bokeh.ColumnDataSource({ data: { left: [], right: [], top: [] } });
+    this.figure = makeFigure({ height: 150, tools: "", x_range: new Bokeh.DataRange1d(), y_range: new Bokeh.DataRange1d({ start: 0 }) });
+    this.figure.xaxis.axis_label = `${title}, ms`;
+    this.figure.yaxis.axis_label = "periods";
+    this.figure.quad({ field: "left" }, { field: "right" }, 0, { field: "top" }, { source: this.source, fill_color: COLOURS().measured, line_color: null });
+    Bokeh.Plotting.show(this.figure, parent);
+  }
+  draw(values) {
+    const sorted = Float64Array.from(values).sort();
+    if (!sorted.length) return;
+    const low = Math.min(0, sorted[0]), high = Math.max(sorted[Math.floor(sorted.length * 0.995)] * 1.1, 0.1), bins = 50;
+    const top = new Array(bins).fill(0), width = (high - low) / bins;
+    for (const v of sorted) top[Math.min(Math.floor((v - low) / width), bins - 1)] += 1;  // the last one has all beyond
+    this.source.data = { left: top.map((_, i) => low + i * width), right: top.map((_, i) => low + (i + 1) * width), top };
+  }
+}

@@ -1,0 +1,298 @@
+"""The process that serves the live page: ``python -m hil.live.server DESCRIPTOR``.
+
+It reads its options as JSON from the descriptor, then the feed of a run, or a recording. It can only show,
+unless it was given the socket of a daemon. A browser is answered if it calls the server by one of the names
+in the options and has the token; a page of another origin is refused (DNS rebinding, cross-site requests).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import os
+import socket
+import sys
+import threading
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import urlsplit
+
+import numpy as np
+from tornado import httpserver, ioloop, web, websocket
+
+from hil.live.feed import MESSAGE_BYTES
+from hil.live.history import Rows
+from hil.live.operator import DaemonOperator
+from hil.live.run import Run
+
+UPDATE_MS = 50
+"""Time between two updates of a viewer: 20 a second."""
+READINGS_MS = 500
+"""Time between two readings of the last steps."""
+MAX_VIEWERS = 16
+MAX_ANSWERS = 20
+"""Number of answers that wait for a viewer; older ones are dropped."""
+MAX_REQUEST_BYTES = 100_000
+"""Longest message of a viewer. A controller document fits in."""
+CONTENT_SECURITY = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:"
+PAGE_FOLDER = Path(__file__).parent / "page"
+LIBRARY_FILES = ("bokeh.min.js", "bokeh-api.min.js")
+
+
+class Source(Protocol):
+    """Where the data of one viewer come from."""
+
+    def begin(self) -> list[dict[str, Any]]:
+        """Return the messages with which a viewer begins."""
+
+    def take(self) -> tuple[list[dict[str, Any]], Rows]:
+        """Return messages and rows that are new since the last call."""
+
+    def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Take a request of the viewer; return an answer or None."""
+
+
+class RunSource:
+    """A run as one viewer sees it."""
+
+    def __init__(self, run: Run, operator: DaemonOperator | None) -> None:
+        self._run = run
+        self._operator = operator
+        self._next_row = 0
+        self._next_log = max(run.log_end - len(run.log), 0)
+        self._status: object = None
+        self._readings: object = None
+        self._is_over = False
+
+    def begin(self) -> list[dict[str, Any]]:
+        """Return what the run is."""
+        return [
+            {
+                "run": self._run.information,
+                "mode": "run",
+                "may_operate": self._operator is not None,
+            }
+        ]
+
+    def take(self) -> tuple[list[dict[str, Any]], Rows]:
+        """Return messages and rows that are new since the last call."""
+        run = self._run
+        messages: list[dict[str, Any]] = []
+        new_entries = run.log_end - self._next_log
+        if new_entries:
+            messages.append({"log": list(run.log)[-new_entries:]})
+            self._next_log = run.log_end
+        if run.status is not self._status:
+            self._status = run.status
+            messages.append({"status": run.status})
+        if run.readings is not self._readings:
+            self._readings = run.readings
+            messages.append({"readings": run.readings})
+        if run.is_over and not self._is_over:
+            self._is_over = True
+            messages.append({"over": True})
+        if run.history is None:
+            return messages, np.empty((0, 0))
+        rows = run.history.since(self._next_row)
+        self._next_row = run.history.end
+        return messages, rows
+
+    def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Pass an operator's request to the daemon."""
+        if self._operator is None:
+            return {"reply": {"accepted": False, "text": "this page only shows; start it with --operate"}}
+        return {"reply": self._operator.ask(request)}
+
+
+class Viewer(websocket.WebSocketHandler):
+    """One page that is open in a browser."""
+
+    async def prepare(self) -> None:
+        """Refuse a viewer without the token, by another name, or one too many."""
+        refuse_foreigners(self)
+        if not has_token(self):
+            raise web.HTTPError(403, reason="the token in the address is missing or wrong")
+        if len(self.application.settings["viewers"]) >= MAX_VIEWERS:
+            raise web.HTTPError(503, reason=f"{MAX_VIEWERS} pages are open already")
+
+    def check_origin(self, origin: str) -> bool:
+        """Accept only pages of this server."""
+        parts = urlsplit(origin)
+        return parts.scheme == "http" and parts.netloc in self.application.settings["hosts"]
+
+    def open(self, *_args: str, **_kwargs: str) -> None:
+        """Begin to send."""
+        self.set_nodelay(True)
+        self.source: Source = self.application.settings["make_source"]()
+        self._answers: list[dict[str, Any]] = []
+        self._is_sending = False
+        self._is_first = True
+        self.application.settings["viewers"].add(self)
+
+    def on_close(self) -> None:
+        """Forget the viewer."""
+        self.application.settings["viewers"].discard(self)
+
+    async def on_message(self, message: str | bytes) -> None:
+        """Take a request of the page. What is no request is answered with the reason.
+
+        The next message of this viewer is read after the answer. Another thread waits for a daemon.
+        """
+        try:
+            request = json.loads(message)
+            if not isinstance(request, dict):
+                raise ValueError("a request is a JSON object")
+            answer = await asyncio.to_thread(self.source.request, request)
+        except (ValueError, KeyError, TypeError) as error:
+            answer = {"reply": {"accepted": False, "text": f"not a request: {error}"}}
+        if answer is not None:
+            self._answers = [*self._answers[-MAX_ANSWERS:], answer]
+
+    async def update(self) -> None:
+        """Send what is new, unless the last update is still on its way: a slow viewer loses rows."""
+        if self._is_sending:
+            return
+        self._is_sending = True
+        try:
+            messages, rows = self.source.take()
+            answers, self._answers = self._answers, []
+            messages += answers
+            if self._is_first:
+                messages = self.source.begin() + messages
+                self._is_first = False
+            for message in messages:
+                await self.write_message(json.dumps(message))
+            if len(rows):
+                await self.write_message(np.ascontiguousarray(rows).tobytes(), binary=True)
+        except websocket.WebSocketClosedError:
+            self.application.settings["viewers"].discard(self)
+        finally:
+            self._is_sending = False
+
+
+class Page(web.RequestHandler):
+    """The page itself, for whoever has the token."""
+
+    def get(self) -> None:
+        """Send the page, or say where its address is found."""
+        refuse_foreigners(self)
+        self.set_header("Content-Security-Policy", CONTENT_SECURITY)
+        self.set_header("Referrer-Policy", "no-referrer")
+        self.set_header("Cache-Control", "no-store")
+        if not has_token(self):
+            self.set_status(403)
+            self.write("The token is missing or wrong: open the address that the command has printed.")
+            return
+        self.write((PAGE_FOLDER / "page.html").read_bytes())
+
+
+class PageFile(web.StaticFileHandler):
+    """Scripts and styles of the page, which contain nothing about the run."""
+
+    def prepare(self) -> None:
+        """Refuse a request by another name."""
+        refuse_foreigners(self)
+
+
+def refuse_foreigners(handler: web.RequestHandler) -> None:
+    """Raise an error if the browser calls the server by a name that is not its own."""
+    if handler.request.headers.get("Host") not in handler.application.settings["hosts"]:
+        raise web.HTTPError(403, reason="this server is not called by that name")
+
+
+def has_token(handler: web.RequestHandler) -> bool:
+    """Return whether the request has the token."""
+    given = handler.get_query_argument("token", "")
+    return hmac.compare_digest(given.encode(), handler.application.settings["token"].encode())
+
+
+def application(hosts: list[str], token: str, make_source: object) -> web.Application:
+    """Return the server's application."""
+    bokeh = find_spec("bokeh")
+    assert bokeh is not None and bokeh.origin is not None
+    library = str(Path(bokeh.origin).parent / "server" / "static" / "js")
+    names = "|".join(name.replace(".", r"\.") for name in LIBRARY_FILES)
+    return web.Application(
+        [
+            (r"/", Page),
+            (r"/stream", Viewer),
+            (rf"/library/({names})", PageFile, {"path": library}),
+            (r"/page/(live\.js|chart\.js|live\.css)", PageFile, {"path": str(PAGE_FOLDER)}),
+        ],
+        hosts=hosts,
+        token=token,
+        make_source=make_source,
+        viewers=set(),
+        websocket_max_message_size=MAX_REQUEST_BYTES,
+        websocket_ping_interval=20,
+    )
+
+
+def serve(options: dict[str, Any]) -> None:
+    """Serve until the feed ends and every viewer has gone, or until the process is killed."""
+    operator = None if options["operate"] is None else DaemonOperator(options["operate"])
+    loop = ioloop.IOLoop.current()
+    run = Run()
+    if options["recording"] is not None:
+        from hil.live.playback import Playback, PlaybackSource
+
+        playback = Playback(options["recording"])
+        app = application(options["hosts"], options["token"], lambda: PlaybackSource(playback))
+    else:
+        app = application(options["hosts"], options["token"], lambda: RunSource(run, operator))
+        _begin_to_receive(options, run, loop)
+        ioloop.PeriodicCallback(run.update_readings, READINGS_MS).start()
+    server = httpserver.HTTPServer(app, max_header_size=16384, max_body_size=0)
+    server.add_socket(socket.socket(fileno=options["listen"]))
+
+    def update() -> None:
+        for viewer in list(app.settings["viewers"]):
+            loop.add_callback(viewer.update)
+
+    ioloop.PeriodicCallback(update, UPDATE_MS).start()
+    loop.start()
+
+
+def _begin_to_receive(options: dict[str, Any], run: Run, loop: ioloop.IOLoop) -> None:
+    """Receive the feed of a run, or watch a daemon."""
+    if options["watch"] is not None:
+        from hil.live.watched_daemon import watch
+
+        arguments = (Path(options["watch"]), run, loop.add_callback)
+        threading.Thread(target=watch, args=arguments, daemon=True).start()
+        return
+    feed = socket.socket(fileno=options["feed"])
+    feed.setblocking(False)
+    loop.add_handler(feed.fileno(), lambda *_: _read(feed, run, loop), loop.READ)
+
+
+def _read(feed: socket.socket, run: Run, loop: ioloop.IOLoop) -> None:
+    """Read what the feed has, at most some hundred messages, so that viewers are served meanwhile."""
+    for _ in range(200):
+        try:
+            message = feed.recv(MESSAGE_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            message = b""
+        if not message:
+            loop.remove_handler(feed.fileno())
+            run.end()
+            loop.call_later(1.0, loop.stop)
+            return
+        run.take_message(message)
+
+
+def main(descriptor: int) -> None:
+    """Read the options from ``descriptor`` and serve."""
+    os.nice(5)
+    with open(descriptor) as pipe:
+        options = json.load(pipe)
+    serve(options)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

@@ -1,0 +1,72 @@
+"""The checks of one rig before it is operated: its files, its protection, its bus, and this machine's rights.
+
+Nothing is opened and nothing is sent. What only the bus can show (boards, samples, positions) is shown by
+``hil monitor``, and checked by the gateway before it arms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from hil.core.errors import HilError
+from hil.core.rig import Rig
+from hil.host.doctor import Check, CheckVerdict
+from hil.host.doctor.can_interface import bus_of_rig
+from hil.host.doctor.check import check
+from hil.host.doctor.timing import clock, limits, processors, rights_and_wake_ups
+from hil.shells.real_bus import is_real
+from hil.shells.run_setup import RunSetup, load_setup
+
+ESSENTIAL_RIGHTS = ("SCHED_FIFO", "memory lock")
+"""Rights without which a loop must not control a real arm: it could be late by many periods."""
+
+
+def preflight(rig_path: Path | None, bus: str | None = None) -> list[Check]:
+    """Check the rig file ``rig_path``, or the shipped one. ``bus`` replaces the bus of the file."""
+    try:
+        setup = load_setup(rig_path, {}, {})
+    except HilError as error:
+        advice = "correct the file; `hil rig --check FILE` repeats this check alone"
+        return [check("rig file", str(error), advice, is_essential=True)]
+    channel = bus or setup.rig.bus.channel
+    checks = [*_files(setup), *_protection(setup.rig, is_real(channel)), *bus_of_rig(channel)]
+    machine = (
+        *rights_and_wake_ups(setup.rig.loop.poll_before_deadline_s),
+        *limits(),
+        *clock(),
+        *processors(),
+    )
+    return checks + [_demanded(one) if is_real(channel) else one for one in machine]
+
+
+def _files(setup: RunSetup) -> Iterator[Check]:
+    """Report what was read. Reading has checked keys, limits, sample times and units."""
+    rig = setup.rig
+    yield check("rig file", f"valid; axes {', '.join(rig.axes)}; period {1e3 * rig.loop.period_s:g} ms")
+    for name, controller in setup.controllers.items():
+        found = f"{controller.name}, made for {1e3 * controller.sample_time_s:g} ms; setpoint "
+        yield check(f"controller {name}", found + setup.setpoints[name].text)
+
+
+def _protection(rig: Rig, is_real_bus: bool) -> Iterator[Check]:
+    """Report checks of the envelope that are switched off, and buttons that the rig does not have."""
+    for name, axis in rig.axes.items():
+        disabled = ", ".join(axis.envelope.disabled)
+        advice = f"remove them from axes.{name}.envelope.disabled unless the axis needs that"
+        low, high = axis.limits.min_y, axis.limits.max_y
+        found = f"disabled: {disabled}" if disabled else f"soft end stops {low:g} and {high:g} {axis.unit}"
+        yield check(f"envelope {name}", found, advice if disabled else "")
+    for name, settings in (("emergency_stop", rig.emergency_stop), ("enable", rig.enable)):
+        if settings is not None:
+            yield check(name, f"frame 0x{settings.frame:03X}, byte {settings.byte}, bit {settings.bit}")
+        elif is_real_bus:
+            advice = f"wire a normally closed contact to a digital input, and add [{name}] to the rig file"
+            yield check(name, "none in the rig file", advice)
+
+
+def _demanded(found: Check) -> Check:
+    """Return a finding about this machine as a real arm needs it."""
+    if found.name in ESSENTIAL_RIGHTS and found.advice:
+        return found._replace(verdict=CheckVerdict.MISSING)
+    return found
