@@ -64,12 +64,12 @@ FAULTS = {
 """Fault to the beginning of its reason, and the largest number of periods until the valves stay centred."""
 
 WITH_INPUTS = {
-    "lose:inputs@0": ("emergency stop: no good frame 0x290 for", 5),
-    "corrupt:inputs@0": ("last frame rejected: frame 0x290: CRC", 5),
+    "lose:inputs@0": ("emergency stop: no good frame 0x290 for", 9),
+    "corrupt:inputs@0": ("last frame rejected: frame 0x290: CRC", 9),
     "emergency-stop:pressed@0": ("emergency stop", 1),
     "lose:read-back@0": ("dac: no read-back of the valves (TPDO1_DAC) for 5 periods", 6),
 }
-"""The same as FAULTS, for a rig file with an emergency stop and with read-back of the valves."""
+"""The same as FAULTS, for a rig file with read-back and an emergency stop, whose timeout_s is 9 periods."""
 
 STANDING = {
     "freeze-sensor:vertical@0": ("vertical: the position stands still", 2.6),
