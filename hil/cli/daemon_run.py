@@ -68,7 +68,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         recorder = None if options.no_record else _recorder(setup, spec, link, epoch_offset_ns, options)
         limits = RotationLimits(options.rotate_bytes, options.rotate_s, options.keep)
         recordings = None if recorder is None else Recordings(recorder, limits)
-        observers = _page(stack, setup, bus, epoch_offset_ns, recordings, options)
+        observers = _page(stack, setup, spec, epoch_offset_ns, recordings, options)
         log = LogLines()
         stack.callback(log.close)
         facts = Facts(__version__, bus, setup.texts[RIG_NAME], None if events is None else EVENT_CHECK)

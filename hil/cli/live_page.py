@@ -9,7 +9,7 @@ import time
 from hil.core.life_cycle import LifeCycleState
 from hil.live.address import open_address
 from hil.live.feed import LiveFeed, RunInformation
-from hil.shells.run_setup import RunSetup
+from hil.shells.run_setup import RIG_NAME, RunSetup
 
 
 def start_page(
@@ -35,6 +35,7 @@ def start_page(
         recording=recording,
         start_ns=time.monotonic_ns(),
         epoch_offset_ns=epoch_offset_ns,
+        rig_text=setup.texts[RIG_NAME],
     )
     with open_address(options.host, options.port) as address:
         feed = LiveFeed(information, address, operator_socket)

@@ -60,6 +60,8 @@ class RunInformation:
     """Monotonic time of the page's second 0."""
     epoch_offset_ns: int
     """Epoch time minus monotonic time."""
+    rig_text: str
+    """Text of the rig file."""
 
 
 class LiveFeed:

@@ -6,6 +6,7 @@ import json
 from collections import deque
 from typing import Any
 
+from hil.live.bus_listener import listen
 from hil.live.feed import PERIODS
 from hil.live.history import History
 
@@ -27,6 +28,8 @@ class Run:
         """Counts, fault and readiness; another object after each change."""
         self.readings: dict[str, Any] = {}
         """Readings of the last steps; another object after each change."""
+        self.bus: dict[str, str] = {}
+        """Rates and load of the bus, by their names; another object after each change."""
         self.is_over = False
 
     def begin(self, information: dict[str, Any]) -> None:
@@ -51,13 +54,19 @@ class Run:
             return
         content = json.loads(message)
         if "run" in content:
+            rig_text = content["run"].pop("rig_text")
             self.begin(content["run"])
+            listen(content["run"]["bus"], rig_text, self._take_bus)
         elif "log" in content:
             time_ns, severity, source, text = content["log"]
             start_ns = self.information["start_ns"] if self.information else time_ns
             self.log_entry((time_ns - start_ns) * 1e-9, severity, source, text)
         else:
             self.status = content
+
+    def _take_bus(self, counts: dict[str, str]) -> None:
+        """Take the counts of the listener, which is another thread."""
+        self.bus = counts
 
     def update_readings(self) -> None:
         """Read the last step of every axis."""

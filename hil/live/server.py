@@ -65,6 +65,7 @@ class RunSource:
         self._next_log = max(run.log_end - len(run.log), 0)
         self._status: object = None
         self._readings: object = None
+        self._bus: object = None
         self._is_over = False
 
     def begin(self) -> list[dict[str, Any]]:
@@ -88,6 +89,9 @@ class RunSource:
         if run.status is not self._status:
             self._status = run.status
             messages.append({"status": run.status})
+        if run.bus is not self._bus:
+            self._bus = run.bus
+            messages.append({"bus": run.bus})
         if run.readings is not self._readings:
             self._readings = run.readings
             messages.append({"readings": run.readings})

@@ -56,7 +56,7 @@ MAY_IMPORT = {
         "hil.campaigns",
     },
     "hil.campaigns": {"hil", "hil.core", "hil.host", "hil.recording", "hil.shells", "hil.views"},
-    "hil.live": {"hil.core", "hil.host", "hil.operation", "hil.recording", "hil.views"},
+    "hil.live": {"hil.core", "hil.host", "hil.links", "hil.operation", "hil.recording", "hil.views"},
     "hil.testing": {
         "hil",
         "hil.core",

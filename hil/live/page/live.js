@@ -70,6 +70,7 @@ function take(message) {
   if (message.clear) { live.rows.clear(); byId("log").replaceChildren(); }
   if (message.log) message.log.forEach(addLogEntry);
   if (message.status) setStatus(message.status);
+  if (message.bus) setCounts("bus", message.bus);
   if (message.readings) setReadings(message.readings);
   if (message.over) { isOver = true; setState("run has ended", "lost"); }
   if ("position_s" in message) setPosition(message.position_s);
@@ -200,7 +201,11 @@ function setStatus({ counts = {}, fault, readiness }) {
   byId("fault").hidden = !fault;
   if (fault) byId("fault").textContent = `Fault. ${fault}`;
   const entries = Object.entries({ ...counts, ...(readiness ? { boards: readiness } : {}) });
-  byId("counts").replaceChildren(...entries.flatMap(([name, value]) => {
+  setCounts("counts", Object.fromEntries(entries));
+}
+
+function setCounts(place, counts) {
+  byId(place).replaceChildren(...Object.entries(counts).flatMap(([name, value]) => {
     const dt = document.createElement("dt"), dd = document.createElement("dd");
     dt.textContent = name;
     dd.textContent = value;

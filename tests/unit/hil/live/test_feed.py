@@ -3,10 +3,12 @@
 import json
 import os
 import socket
+from pathlib import Path
 from unittest import mock
 
 import pytest
 
+import hil
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
@@ -17,9 +19,10 @@ from hil.live.history import History
 from hil.live.run import Run
 from hil.shells.observers import Observers
 
+SHIPPED_TEXT = (Path(hil.__file__).parent / "shipped" / "rig.toml").read_text()
 SIGNALS = AxisSignals(0.1, 0.09, 0.01, 1.0, 6.0, 7.0)
 INFORMATION = RunInformation(
-    [("vertical", "m")], 0.0112, ["offline"], "rig.toml", "vcan0", {}, "run.mcap", 0, 0
+    [("vertical", "m")], 0.0112, ["offline"], "rig.toml", "slcan:none", {}, "run.mcap", 0, 0, SHIPPED_TEXT
 )
 
 

@@ -40,7 +40,7 @@ class Recorded:
 class LivePage(AsyncHTTPTestCase):
     def get_app(self) -> Application:
         self.run_ = Run()
-        self.run_.take_message(json.dumps({"run": RUN}).encode())
+        self.run_.begin(RUN)
         assert self.run_.history is not None
         for _ in range(3):
             self.run_.history.add_row(np.ones(8))
@@ -165,7 +165,7 @@ def test_a_message_that_is_read_before_the_run_is_known_is_ignored() -> None:
 
 def test_log_entries_count_from_the_run() -> None:
     run = Run()
-    run.take_message(json.dumps({"run": {**RUN, "start_ns": 1_000_000_000}}).encode())
+    run.begin({**RUN, "start_ns": 1_000_000_000})
     run.take_message(json.dumps({"log": [3_500_000_000, 30, "adc", "late"]}).encode())
     assert list(run.log) == [[2.5, 30, "adc", "late"]]
     assert isinstance(run.history, History)
