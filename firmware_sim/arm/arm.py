@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from ctypes import byref
+from ctypes import byref, memmove
 from functools import partial
 from heapq import heappop, heappush
 from random import Random
@@ -48,6 +48,10 @@ REST_V: Final = (5.0, 5.0, 5.0)
 """Valve voltages while the arm settles before its time 0, and of an axis that is not wired."""
 REST_NS: Final = 10_000_000_000
 """Time that the arm is given to settle before its time 0."""
+
+
+_SETTLED: Final[dict[ArmParameters, tuple[bytes, bytes]]] = {}
+"""Conditions and state at time 0 of the arm that was built last, by its parameters; at most one entry."""
 
 
 class AxisView(NamedTuple):
@@ -131,7 +135,7 @@ class Arm:
         """Names of the contacts beside the arm that are open (``firmware_sim.plants.plant.HasContacts``)."""
         self.time_ns = -REST_NS
         """The arm's own time: 0 when the arm has settled and the simulation starts."""
-        self.advance(REST_NS, REST_V)
+        self._settle()
         self._valves = [
             valves[AXES.index(name)]._replace(channel=wires.valve) for name, wires in wiring.items()
         ]
@@ -233,6 +237,20 @@ class Arm:
 
     def _set_contact(self, name: str, is_open: bool) -> None:
         (self.open_contacts.add if is_open else self.open_contacts.discard)(name)
+
+    def _settle(self) -> None:
+        """Let the arm rest until its time 0. The result is kept for the next arm with the same parameters."""
+        settled = _SETTLED.get(self.parameters)
+        if settled is None:
+            self.advance(REST_NS, REST_V)
+            _SETTLED.clear()
+            _SETTLED[self.parameters] = bytes(self.conditions), bytes(self.state)
+            return
+        for valve, _, _, channel in self._valves:
+            valve.spool_command(REST_V[channel])
+        for struct, content in zip((self.conditions, self.state), settled, strict=True):
+            memmove(byref(struct), content, len(content))
+        self.time_ns = 0
 
     def _schedule(self, due_ns: int, action: Callable[[], None]) -> None:
         self._scheduled_count += 1  # keeps the order of actions that are due at the same instant

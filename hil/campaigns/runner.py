@@ -38,13 +38,10 @@ def run_cases(campaign: Campaign, first: int, workers: int) -> Iterator[list[Cas
     if workers == 1:
         return (run_group(campaign, start, stop) for start, stop in groups)
     pool = ProcessPoolExecutor(workers, initializer=_ignore_interrupt)
-
-    def submit(start: int, stop: int) -> _Group:
-        return pool.submit(run_group, campaign, start, stop)
-
+    submitted = (pool.submit(run_group, campaign, start, stop) for start, stop in groups)
     # All processes are forked here, before the caller shows progress in a thread.
-    waiting = deque(submit(*group) for group in islice(groups, workers * _WAITING_PER_WORKER))
-    return _in_order(pool, waiting, (submit(*group) for group in groups))
+    waiting = deque(islice(submitted, workers * _WAITING_PER_WORKER))
+    return _in_order(pool, waiting, submitted)
 
 
 def _in_order(

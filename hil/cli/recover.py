@@ -73,11 +73,17 @@ def _report(result: Recovery, source: Path) -> str:
         )
     if result.rebuilt_channels:
         lines.append("note       the descriptions of the channels were lost; they are those of the rig file")
+    if result.restored_metadata:
+        lines.append(
+            "note       the metadata of the recording were lost; clock and bus are those of its messages"
+        )
     lines.append(f"next       hil replay {shlex.quote(str(result.path))}")
     return "\n".join(lines) + "\n"
 
 
 def _lost_text(part: LostPart, result: Recovery) -> str:
+    if part.size == 0:
+        return f"lost       {part.reason}"
     if part.messages is None:
         messages = "an unknown number of messages"
     else:

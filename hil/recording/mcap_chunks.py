@@ -32,6 +32,8 @@ _SCHEMA, _CHANNEL = Opcode.SCHEMA.value, Opcode.CHANNEL.value
 _FIRST_PRIVATE_OPCODE = 0x80
 _INDEX_HEADER = struct.Struct("<HI")
 """Message index up to its entries: channel id, size of the entries (log time and offset, 8 bytes each)."""
+_INDEX_RECORD = struct.Struct("<BQHI")
+"""Message index record up to its entries: opcode, length, channel id, size of the entries."""
 _LOG_TIME_OFFSET, _SEQUENCE_OFFSET = 15, 11
 _UP_TO_CHANNEL = struct.Struct("<BQH")
 _MIN_MESSAGE_BYTES = MESSAGE_HEADER.size - RECORD_HEADER.size
@@ -142,14 +144,16 @@ def offsets_in_index(records: bytes, channel: int | None = None) -> Offsets:
     Raises ValueError or struct.error.
     """
     found: Offsets = {}
-    start, size = 0, RECORD_HEADER.size
-    while start < len(records):
-        _, length = RECORD_HEADER.unpack_from(records, start)
-        number, entries_size = _INDEX_HEADER.unpack_from(records, start + size)
-        if entries_size and channel in (None, number):
-            entries = np.frombuffer(records, "<i8", entries_size // 8, start + size + _INDEX_HEADER.size)
+    start, end = 0, len(records)
+    unpack_from = _INDEX_RECORD.unpack_from
+    while start < end:
+        _, length, number, entries_size = unpack_from(records, start)
+        if entries_size and (channel is None or channel == number):
+            entries = np.frombuffer(records, "<i8", entries_size // 8, start + _INDEX_RECORD.size)
             found[number] = np.sort(entries[1::2])
-        start += size + length
+            if number == channel:
+                break
+        start += RECORD_HEADER.size + length
     return found
 
 

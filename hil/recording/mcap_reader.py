@@ -139,8 +139,20 @@ class McapContents:
         """
         row_type = self.row_type(topic, frame_id)
         places = self._places if range_ns is None else _within(self._places, range_ns)
-        blocks = [np.empty((0, row_type.itemsize), np.uint8), *self._blocks(topic, row_type, places)]
-        rows: Rows = np.concatenate(blocks).view(row_type)[:, 0]
+        if range_ns is None:
+            filled = np.empty((self.counts[topic], row_type.itemsize), np.uint8)
+            place = 0
+            for block, starts in self._blocks(topic, row_type, places):
+                target = filled[place : place + len(starts)]
+                if len(target) < len(starts):
+                    raise RecordingError(f"{self.path}: {topic}: more messages than the file states")
+                target[:] = block[starts]
+                place += len(starts)
+            filled = filled[:place]
+        else:
+            blocks = [block[starts] for block, starts in self._blocks(topic, row_type, places)]
+            filled = np.concatenate([np.empty((0, row_type.itemsize), np.uint8), *blocks])
+        rows: Rows = filled.view(row_type)[:, 0]
         if np.any(rows["length"] != row_type.itemsize - RECORD_HEADER.size):
             raise self._wrong_length(topic)
         return rows
@@ -148,9 +160,10 @@ class McapContents:
     def first_row(self, topic: str, frame_id: str) -> Rows:
         """Return the first row of :meth:`rows`; an empty array if there is none."""
         row_type = self.row_type(topic, frame_id)
-        block = next(self._blocks(topic, row_type, self._places), np.empty((0, row_type.itemsize), np.uint8))
-        rows: Rows = block[:1].view(row_type)[:, 0]
-        return rows
+        for block, starts in self._blocks(topic, row_type, self._places):
+            rows: Rows = block[starts[:1]].view(row_type)[:, 0]
+            return rows
+        return np.empty(0, row_type)
 
     def time_range_ns(self) -> tuple[int, int] | None:
         """Return the smallest and the largest log time in epoch ns; None without a message."""
@@ -180,18 +193,23 @@ class McapContents:
 
     def _blocks(
         self, topic: str, row_type: np.dtype[np.void], places: Sequence[Place]
-    ) -> Iterator[npt.NDArray[np.uint8]]:
-        """Yield the message records of ``topic`` in each chunk that has any, shape (messages, bytes)."""
+    ) -> Iterator[tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]]:
+        """Yield each chunk that has messages of ``topic``, and the offsets of their records.
+
+        Row i of the chunk, shape (offsets, bytes of a record), is the record that begins at offset i.
+        """
         channel, size = self.channel(topic).id, row_type.itemsize
         for place in places:
             content, offsets = self._read(place, channel)
             if channel not in offsets:
                 continue
             starts = offsets[channel]
-            body = np.frombuffer(content, np.uint8)
-            if starts[0] < 0 or starts[-1] + size > len(body):
+            if starts[0] < 0 or starts[-1] + size > len(content):
                 raise self._wrong_length(topic)
-            yield np.lib.stride_tricks.as_strided(body, (len(body) - size + 1, size), (1, 1))[starts]
+            at_every_offset: npt.NDArray[np.uint8] = np.ndarray(
+                (len(content) - size + 1, size), np.uint8, content, strides=(1, 1)
+            )
+            yield at_every_offset, starts
 
     def _read(self, place: Place, channel: int | None) -> tuple[bytes, Offsets]:
         """Return a chunk, uncompressed, and the offsets of the messages of ``channel``, or of all."""

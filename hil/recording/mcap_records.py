@@ -24,7 +24,7 @@ from hil.recording.handover import RECORD_HEADER
 
 _BLOCK_BYTES = 1024 * 1024
 _CRC_BYTES = 4
-_CHUNK_TIMES = struct.Struct("<QQQI")
+_CHUNK_FIELDS = struct.Struct("<QQQII")
 _CHUNK_INDEX_START = struct.Struct("<QQQQI")
 _CHANNEL_OFFSET_BYTES = 10
 _INDEX_RECORD_BYTES = 15
@@ -210,10 +210,16 @@ def parse_channel(body: bytes) -> tuple[Channel, int]:
 
 def parse_chunk_header(body: bytes) -> ChunkHeader:
     """Return the fields of a chunk; ``body`` may end after them. Raises ValueError."""
-    fields = _Fields(body)
-    start_ns, end_ns, uncompressed_size, crc = _CHUNK_TIMES.unpack(fields.take(_CHUNK_TIMES.size))
-    compression, size = fields.text(), fields.number(8)
-    return ChunkHeader(start_ns, end_ns, uncompressed_size, crc, compression, fields.place, size)
+    if len(body) < _CHUNK_FIELDS.size:
+        raise ValueError("a field is longer than its record")
+    start_ns, end_ns, uncompressed_size, crc, name_size = _CHUNK_FIELDS.unpack_from(body)
+    place = _CHUNK_FIELDS.size + name_size
+    data_start = place + 8
+    if data_start > len(body):
+        raise ValueError("a field is longer than its record")
+    compression = body[_CHUNK_FIELDS.size : place].decode()
+    size = int.from_bytes(body[place:data_start], "little")
+    return ChunkHeader(start_ns, end_ns, uncompressed_size, crc, compression, data_start, size)
 
 
 def parse_chunk_index(body: bytes) -> IndexedChunk:

@@ -256,6 +256,18 @@ def metadata_digest(metadata: Mapping[str, Mapping[str, str]]) -> str:
     return digest.hexdigest()
 
 
+def has_changed(metadata: Mapping[str, Mapping[str, str]]) -> bool:
+    """Return True if metadata differ from their digest. Those without a digest have not changed."""
+    own = metadata.get("recording", {})
+    digest, names = own.get(METADATA_DIGEST), own.get(DIGESTED_NAMES)
+    if digest is None and names is None:
+        return False  # recorded by pneumatic-hil 0.2
+    try:
+        return digest != metadata_digest({name: metadata.get(name, {}) for name in json.loads(names or "[]")})
+    except (ValueError, TypeError):
+        return True
+
+
 def described_channels(
     axes: Sequence[tuple[str, str]], stamp_origin: str
 ) -> tuple[list[Schema], list[Channel]]:

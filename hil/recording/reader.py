@@ -5,7 +5,6 @@ All ``_ns`` are on the gateway's monotonic clock, unless stated otherwise.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import struct
@@ -21,7 +20,7 @@ from hil.core.errors import RecordingError
 from hil.recording.entries import Decoder, Entry, Logged, Message, decoder_of, log_entry_of
 from hil.recording.handover import RECORD_HEADER, SEQUENCE_MASK
 from hil.recording.mcap_reader import DEFINITION_ERRORS, Rows, numpy_codes
-from hil.recording.mcap_writer import DIGESTED_NAMES, METADATA_DIGEST, metadata_digest
+from hil.recording.mcap_writer import METADATA_DIGEST, has_changed
 from hil.recording.run_files import Paths, open_contents
 from hil.recording.schemas import (
     AXIS_SIGNALS,
@@ -74,7 +73,7 @@ class Recording:
         """True if the file was ended properly, False if it was cut off or saved by ``hil recover``."""
         own = self._own_metadata()
         if not contents.is_complete:
-            self._check_metadata(own)
+            self._check_metadata()
         self.bus: str = own["bus"]
         """Name of the bus."""
         try:
@@ -103,17 +102,9 @@ class Recording:
             )
         return own
 
-    def _check_metadata(self, own: dict[str, str]) -> None:
+    def _check_metadata(self) -> None:
         """Check the digest of the metadata, which no CRC covers in a file that was cut off."""
-        digest, names = own.get(METADATA_DIGEST), own.get(DIGESTED_NAMES)
-        if digest is None and names is None:
-            return  # recorded by pneumatic-hil 0.2
-        try:
-            covered = json.loads(names or "[]")
-            found = metadata_digest({name: self.metadata.get(name, {}) for name in covered})
-        except (ValueError, TypeError):
-            found = ""
-        if found != digest:
+        if has_changed(self.metadata):
             raise RecordingError(
                 f"{self.path}: damaged: metadata were changed: their SHA-256 is not that in metadata "
                 f"recording.{METADATA_DIGEST}"

@@ -21,10 +21,11 @@ from hil import __version__
 from hil.core.errors import DocumentError, RecordingError, RecordingExistsError
 from hil.core.rig import read_rig
 from hil.recording.handover import MESSAGE_OPCODE, RECORD_HEADER, SEQUENCE_MASK
+from hil.recording.lost_metadata import restore_recording
 from hil.recording.mcap_chunks import UnsupportedCompressionError, message_index, uncompressed
 from hil.recording.mcap_records import FileBytes, parse_chunk_header
 from hil.recording.mcap_scan import Loss, Part, Place, Scan, scan
-from hil.recording.mcap_writer import IndexedFile, described_channels, record_bytes
+from hil.recording.mcap_writer import IndexedFile, described_channels, has_changed, record_bytes
 
 _NS_PER_MS = 1_000_000
 RECOVERY = "recovery"
@@ -63,13 +64,13 @@ class Recovery(NamedTuple):
     """Number of messages in it."""
     span_ns: tuple[int, int]
     """First and last log time in it, in epoch ns."""
-    epoch_offset_ns: int
-    """Epoch time minus time on the gateway's monotonic clock, in ns; 0 if the file does not have it."""
     lost: tuple[LostPart, ...]
     was_complete: bool
     """True if the file had its end."""
     rebuilt_channels: bool
     """True if the descriptions of the channels were lost, and were made again from the rig file."""
+    restored_metadata: bool
+    """True if the metadata ``recording`` were lost, and were made again from the messages."""
 
 
 def recover(source: Path, output: Path) -> Recovery:
@@ -85,24 +86,23 @@ def recover(source: Path, output: Path) -> Recovery:
         raise RecordingError(f"{source}: {error}") from None
     rebuilt = _describe_channels(found)
     unknown = found.counts.keys() - found.channels.keys()
-    lost = _lost_parts(found)
+    lost = (*_lost_parts(found), *_changed_metadata(found))
     if not found.parts:
         raise RecordingError(f"{source}: nothing can be saved: {_no_message(file)}")
     if unknown:
         raise RecordingError(
             f"{source}: nothing can be saved: the descriptions of its channels are lost, and its rig file too"
         )
+    restored = restore_recording(found, lambda part: _chunk_at(file, part.place)[1])
     messages = _written(output, lambda write: _copy(file, found, lost, write))
-    metadata = {record.name: record.metadata for record in found.metadata}
-    offset = metadata.get("recording", {}).get("epoch_offset_ns", "0")
     return Recovery(
         output,
         messages,
         (min(p.place.start_ns for p in found.parts), max(p.place.end_ns for p in found.parts)),
-        int(offset) if offset.isdecimal() else 0,
         lost,
         found.has_end,
         rebuilt,
+        restored,
     )
 
 
@@ -116,6 +116,13 @@ def _lost_parts(found: Scan) -> tuple[LostPart, ...]:
     data_end = None if found.data_end is None else found.data_end.end
     of_data = [loss for loss in found.losses if data_end is None or loss.start < data_end]
     return tuple(_lost_part(found.parts, loss) for loss in of_data)
+
+
+def _changed_metadata(found: Scan) -> list[LostPart]:
+    """Return a part without bytes if metadata, which have no CRC of their own, differ from their digest."""
+    if not has_changed({record.name: record.metadata for record in found.metadata}):
+        return []
+    return [LostPart(0, 0, "metadata are damaged or missing, by their SHA-256", 0, None, None)]
 
 
 def _lost_part(parts: Sequence[Part], loss: Loss) -> LostPart:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,7 +18,9 @@ from hil.core.output import LogEntry, Severity
 from hil.core.wire.codec import TPDO1_ADC
 from hil.recording.reader import Recording
 from hil.recording.recorder import ARM_EVENTS
-from hil.recording.tables import AxisTable, TimingTable
+from hil.views.life_cycle_stays import Stay, stays_in
+from hil.views.report_series import extremes
+from hil.views.run_columns import AxisColumns, axis_columns, timing_columns
 
 BLUE, GREEN, VERMILION, GREY = "#0072B2", "#009E73", "#D55E00", "#666666"
 """Colours of Okabe and Ito's palette, which colour-blind readers can distinguish."""
@@ -31,14 +32,6 @@ MIN_VALVE_SPAN_V = 1.0
 """Smallest range of a valve voltage panel."""
 
 
-class _Stay(NamedTuple):
-    """A stay in one state of the life cycle, in seconds on the plot's time axis."""
-
-    state: str
-    from_s: float
-    to_s: float
-
-
 def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: str = "") -> None:
     """Write the run as a PNG with one column for each axis. Time 0 is the first period under control.
 
@@ -46,11 +39,11 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
     States other than running are shaded. Faults and the planned events of a simulated arm are marked and
     named. Raises RecordingError when there is nothing to draw, or ``path`` cannot be written.
     """
-    timing = recording.timing()
+    timing = timing_columns(recording)
     if len(timing) == 0:
         raise RecordingError(f"{recording.path}: has no period, so there is nothing to draw")
     start_s = float(timing.time_s[np.argmax(timing.running)])
-    stays = _stays(timing, recording.state_names, start_s)
+    stays = stays_in(timing, recording.state_names, start_s)
     faults = [
         (recording.seconds(now_ns) - start_s, entry)
         for now_ns, entry in recording.log()
@@ -63,7 +56,7 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
     panels = figure.subplots(2, len(names), sharex=True, squeeze=False, height_ratios=(3, 2))
     for name, (upper, lower) in zip(names, panels.T, strict=True):
         upper.set_title(name, parse_math=False)
-        _draw_axis(upper, lower, recording.axis(name), start_s)
+        _draw_axis(upper, lower, axis_columns(recording, name), start_s)
         _label_stays(upper, stays)
         _mark_events(upper, lower, marks)
         for panel in (upper, lower):
@@ -82,12 +75,15 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
         raise RecordingError(f"{path}: the plot cannot be written: {error.strerror}") from None
 
 
-def _draw_axis(upper: Axes, lower: Axes, axis: AxisTable, start_s: float) -> None:
+def _draw_axis(upper: Axes, lower: Axes, axis: AxisColumns, start_s: float) -> None:
     times_s = axis.time_s - start_s
-    upper.step(times_s, axis.setpoint, where="post", color="black", linewidth=1.0, label="setpoint")
-    upper.plot(times_s, axis.position, color=BLUE, linewidth=1.4, label="position")
+    setpoint, position, command_v = (
+        extremes(times_s, values) for values in (axis.setpoint, axis.position, axis.command_v)
+    )
+    upper.step(*setpoint, where="post", color="black", linewidth=1.0, label="setpoint")
+    upper.plot(*position, color=BLUE, linewidth=1.4, label="position")
     upper.set_ylabel(f"position ({axis.unit})", parse_math=False)
-    lower.step(times_s, axis.command_v, where="post", color=GREEN, linewidth=1.0)
+    lower.step(*command_v, where="post", color=GREEN, linewidth=1.0)
     lower.set_ylabel("valve voltage (V)")
     lower.set_xlabel("time (s)")
     for panel in (upper, lower):
@@ -105,7 +101,7 @@ def _widen(panel: Axes, min_span: float) -> None:
         panel.set_ylim(low - missing / 2, high + missing / 2)
 
 
-def _shade_stays(panel: Axes, stays: list[_Stay]) -> None:
+def _shade_stays(panel: Axes, stays: list[Stay]) -> None:
     for state, from_s, to_s in stays:
         if state != "running":
             panel.axvspan(
@@ -113,7 +109,7 @@ def _shade_stays(panel: Axes, stays: list[_Stay]) -> None:
             )
 
 
-def _label_stays(panel: Axes, stays: list[_Stay]) -> None:
+def _label_stays(panel: Axes, stays: list[Stay]) -> None:
     """Label the states whose area is wider than the label."""
     whole_s = stays[-1].to_s - stays[0].from_s
     for state, from_s, to_s in stays:
@@ -155,13 +151,3 @@ def _mark_events(upper: Axes, lower: Axes, marks: list[tuple[float, str]]) -> No
 
 def _fault_text(fault: LogEntry) -> str:
     return f"fault: {fault.source}: {fault.text}"
-
-
-def _stays(timing: TimingTable, names: dict[int, str], start_s: float) -> list[_Stay]:
-    states, times_s = timing.state, timing.time_s - start_s
-    entered = [0, *(np.flatnonzero(np.diff(states)) + 1)]
-    left = [*entered[1:], len(states) - 1]
-    return [
-        _Stay(names.get(int(states[i]), f"state {states[i]}"), float(times_s[i]), float(times_s[j]))
-        for i, j in zip(entered, left, strict=True)
-    ]

@@ -70,6 +70,21 @@ def encode(slots: Slots, time_s: npt.NDArray[np.float64], values: npt.NDArray[An
     }
 
 
+def extremes(
+    time_s: npt.NDArray[np.float64], values: npt.NDArray[np.float64], max_slots: int = MAX_SLOTS
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return a curve of at most two points for each of ``max_slots`` slots: the extreme values in it.
+
+    A curve (n,) that is short enough is returned as it is. ``time_s`` must ascend.
+    """
+    if len(values) <= 2 * max_slots:
+        return time_s, values
+    slots = Slots.over(float(time_s[0]), float(time_s[-1]), 1e-9, max_slots)
+    first = np.flatnonzero(np.diff(slots.of(time_s), prepend=-1))
+    pairs = np.stack([np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)], axis=1)
+    return np.repeat(time_s[first], 2), pairs.ravel()
+
+
 def decode(series: dict[str, Any], which: str = "min") -> npt.NDArray[np.float64]:
     """Return the values of a series, as the script of the page does; NaN where a slot has none."""
     codes = np.frombuffer(base64.b64decode(series[which] or series["min"]), "<u2")

@@ -120,7 +120,7 @@ def _no_fit(estimate: Estimate, own: float, explained: float, validation: Experi
                 f"{names.u} follows from {names.y} to {swapped:.3g} %, but {names.y} from {names.u} to "
                 f"{percent:.3g} %"
             ),
-            remedy=f"exchange the two columns of {suspected[0].name}",
+            remedy="exchange the two columns" + (f" of {record}" if own >= POOR_PERCENT else ""),
         )
     return Finding(
         kind=Kind.POOR_FIT,

@@ -33,6 +33,9 @@ from design.identification.models.difference_basis import basis, differences
 from design.identification.records.experiment import Experiment, Stretch, stretches
 from design.mathematics.polynomials import Array
 
+MAX_MODULUS = 1e150
+"""Modulus of a simulated signal from which a candidate counts as overflowing."""
+
 
 class Dynamics(NamedTuple):
     """F and, for given F, all numerators that the structure allows.
@@ -119,6 +122,8 @@ class SimulationError:
         with np.errstate(over="ignore", invalid="ignore"):
             free = differences(lfilter([1.0], f, impulse), n, 0)
             forced = filtered_differences([stretch.u for stretch in self.stretches], f, nb, lag)
+        if not (_moderate([free[:1]]) and _moderate([driven[-1:] for driven in forced])):
+            return None
         columns = []
         for stretch, common, driven in zip(self.stretches, self._common, forced, strict=True):
             block = np.empty((n + len(common) + nb + 1, len(stretch)))
@@ -127,10 +132,6 @@ class SimulationError:
             block[n + len(common) : -1] = driven
             block[-1] = stretch.y
             columns.append(block)
-        if not all(
-            np.isfinite(block[[0, -2], -1]).all() and np.abs(block[-2]).max() < 1e150 for block in columns
-        ):
-            return None
         reduced = self._reduce(columns, Layout(n, len(self.powers), nb + 1))
         A = reduced.shared[:, :nb] @ (basis(nb) @ numerators)
         right = reduced.shared[:, nb]
@@ -213,3 +214,9 @@ class SimulationError:
         count = max(len(self.experiments[stretch.experiment]), 2)
         t = np.arange(stretch.start, stretch.start + len(stretch)) / (count - 1) - 0.5
         return np.array([t**power for power in self.powers])
+
+
+def _moderate(signals: Sequence[Array]) -> bool:
+    """Return True if all values are numbers that can be squared."""
+    values = signals[0] if len(signals) == 1 else np.concatenate(signals, axis=1)
+    return bool(np.abs(values).max(initial=0.0) < MAX_MODULUS)

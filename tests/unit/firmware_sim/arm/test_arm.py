@@ -10,7 +10,7 @@ import pytest
 from support.arm_files import arm_with
 from support.constants import CENTRED, PERIOD_NS
 
-from firmware_sim.arm.arm import Arm
+from firmware_sim.arm.arm import _SETTLED, Arm
 from firmware_sim.arm.arm_file import shipped_arm
 from firmware_sim.plants.plant import Plant
 from hil.core.errors import SimulationError
@@ -25,6 +25,25 @@ def test_the_arm_is_a_plant_that_starts_at_rest() -> None:
     for one, other in zip(before.axes, arm.view().axes, strict=True):
         assert one.position == pytest.approx(other.position, abs=1e-3)
         assert abs(other.velocity) < 1e-3
+
+
+def test_an_arm_that_takes_over_the_rest_of_the_one_before_is_equal_to_it_to_the_bit() -> None:
+    _SETTLED.clear()
+    first, second = (Arm(shipped_arm(), seed=1) for _ in range(2))
+    assert len(_SETTLED) == 1
+    assert first.view() == second.view()
+    for number in range(100):
+        valve_v = (5.0 + 2.0 * math.sin(number), 4.0, 6.0)
+        for arm in (first, second):
+            arm.advance(PERIOD_NS, valve_v)
+        assert first.potentiometer_v() == second.potentiometer_v()
+    assert first.view() == second.view()
+
+
+def test_an_arm_with_other_parameters_rests_by_itself() -> None:
+    before = Arm(shipped_arm(), seed=1).view()
+    assert Arm(arm_with({"supply.gauge_kpa": 300.0}), seed=1).view() != before
+    assert Arm(shipped_arm(), seed=1).view() == before
 
 
 def test_positive_offsets_increase_every_potentiometer_voltage() -> None:

@@ -33,7 +33,7 @@ from hil.recording.recorder import Recorder
 from hil.views.histograms import histogram
 from hil.views.promises import Outcome, promises
 from hil.views.recording_report import MIN_SPAN, render_report, write_report
-from hil.views.report_series import Slots, decode, encode
+from hil.views.report_series import Slots, decode, encode, extremes
 from hil.views.summary import StepResponse, Tracking
 
 PERIODS = 400
@@ -241,6 +241,16 @@ class TestSeries:
         assert np.flatnonzero(np.isfinite(found)).tolist() == [0, 10]
         assert found[[0, 10]].tolist() == [1.0, 2.0]
         assert np.isnan(decode(encode(slots, np.empty(0), np.empty(0)))).all()
+
+    def test_a_long_curve_is_reduced_to_its_extreme_values(self) -> None:
+        time_s = np.arange(100_000) * 0.01
+        values = np.sin(time_s)
+        values[50_000] = 7.0
+        found_s, found = extremes(time_s, values, 1000)
+        assert len(found) == len(found_s) <= 2000
+        assert found.max() == 7.0
+        assert found_s[np.argmax(found)] == pytest.approx(500.0, abs=1.0)
+        assert extremes(time_s[:50], values[:50], 1000)[1] is not found
 
     def test_a_constant_is_exact(self) -> None:
         slots = Slots.over(0.0, 0.0, 0.1)
