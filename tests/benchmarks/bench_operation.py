@@ -149,6 +149,10 @@ def drive(client: Client) -> list[int]:
     return asked_ns
 
 
+def missed_periods(path: Path) -> int:
+    return int(Recording(path).metadata["ending"]["missed periods"])
+
+
 def periods_to_effect(path: Path, asked_ns: list[int]) -> list[float]:
     """Return the periods from each step's request to the first command that follows the new setpoint.
 
@@ -203,7 +207,9 @@ def main() -> int:
         path = folder / "hostile.mcap"
         operated_loop(path, socket_path, lambda _client: attack(socket_path, hostile_s))
         late_us, response_us = lateness_and_response(path)
-        missed = Recording(path).metadata["ending"]["missed periods"]
+        missed = missed_periods(path)
+        missed_bare = sum(missed_periods(folder / f"bare{number}.mcap") for number in range(ROUNDS))
+        missed_operated = sum(missed_periods(folder / f"daemon{number}.mcap") for number in range(ROUNDS))
         outside = commands_outside_limits(path)
     ratios = [
         percentiles(
@@ -217,6 +223,10 @@ def main() -> int:
         f"under attack for {hostile_s:g} s: lateness p50 {np.percentile(late_us, 50):.0f}, p99 "
         f"{np.percentile(late_us, 99):.0f} us; SYNC to command p99 {np.percentile(response_us, 99):.0f} us; "
         f"missed periods {missed}; commands outside limits {outside} of {len(late_us)}"
+    )
+    print(
+        f"missed periods of {ROUNDS} runs of {RUN_S:g} s: bare loop {missed_bare}, daemon with "
+        f"{REQUESTS_PER_S} requests/s {missed_operated}"
     )
     worst = max(periods)
     print(

@@ -156,7 +156,7 @@ def test_nothing_is_taken_before_the_period_is_over(bench: PortBench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("before_ns", "is_taken"), [(6_000_000, False), (4_000_000, True), (2_000_000, True), (1_500_000, False)]
+    ("before_ns", "is_taken"), [(6_000_000, False), (4_000_000, True), (3_000_000, True), (2_900_000, False)]
 )
 def test_requests_are_taken_again_shortly_before_the_deadline(
     bench: PortBench, before_ns: int, is_taken: bool
