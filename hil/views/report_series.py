@@ -53,7 +53,8 @@ def encode(slots: Slots, time_s: npt.NDArray[np.float64], values: npt.NDArray[An
     """
     values = np.asarray(values, np.float64)
     known = np.isfinite(values)
-    time_s, values = time_s[known], values[known]
+    if not known.all():
+        time_s, values = time_s[known], values[known]
     smallest, largest = np.full(slots.count, np.nan), np.full(slots.count, np.nan)
     if len(values):
         slot = slots.of(time_s)

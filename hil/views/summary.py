@@ -6,6 +6,7 @@ Dynamic Systems, section 3.4. ``summary_table`` prints a summary.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -140,10 +141,16 @@ class Summary:
 
 def summarise(recording: Recording) -> Summary:
     """Sum up ``recording``. Raises RecordingError when it lacks the channels of the loop."""
-    timing = timing_columns(recording)
+    axes = {name: axis_summary(axis_columns(recording, name)) for name in recording.axes}
+    return sum_up(recording, timing_columns(recording), axes)
+
+
+def sum_up(
+    recording: Recording, timing: TimingColumns, axes: Mapping[str, StepResponse | Tracking | None]
+) -> Summary:
+    """Return the summary from the timing and the figures of the axes, for callers that have read them."""
     counts = recording.counts
     bring_up_periods = _bring_up_periods(timing, recording.state_names)
-    axes = {name: axis_summary(axis_columns(recording, name)) for name in recording.axes}
     ending = recording.metadata.get("ending", {})
     controlled = timing[_controlled(timing)][1:]
     dropped, unreadable, not_sent, rejected, lost, error_frames = (
