@@ -101,7 +101,7 @@ class _Page:
         self._start_s = float(timing.time_s[np.argmax(timing.running)])
         period_s = float(np.median(np.diff(timing.time_s))) if len(timing) > 1 else 1.0
         first_s, last_s = float(timing.time_s[0]), float(timing.time_s[-1])
-        self._slots = Slots.over(first_s - self._start_s, last_s - self._start_s, max(period_s, 1e-6))
+        self._slots = Slots.over(first_s, last_s, max(period_s, 1e-6))
         self._stays = stays_in(timing, recording.state_names, self._start_s)
         self._log = recording.log()
         self._summary = sum_up(recording, timing, {})
@@ -225,19 +225,18 @@ class _Page:
     def _curve(
         self, label: str, colour: str, time_s: Any, values: Any, holds: bool = False
     ) -> dict[str, Any]:
-        shifted = time_s - self._start_s
         slots = self._slots
-        if len(shifted) < slots.count // 2:
-            ends = (shifted[0], shifted[-1]) if len(shifted) else (0.0, 1.0)
-            period_s = (ends[1] - ends[0]) / max(len(shifted) - 1, 1) or 1.0
+        if len(time_s) < slots.count // 2:
+            ends = (time_s[0], time_s[-1]) if len(time_s) else (0.0, 1.0)
+            period_s = (ends[1] - ends[0]) / max(len(time_s) - 1, 1) or 1.0
             slots = Slots.over(float(ends[0]), float(ends[1]), float(period_s))
         return {
             "label": label,
             "colour": colour,
             "holds": holds,
-            "start": slots.start_s,
+            "start": slots.start_s - self._start_s,
             "length": slots.length_s,
-            **encode(slots, shifted, values),
+            **encode(slots, time_s, values),
         }
 
     def _panel(self, label: str, unit: str, height: int, curves: list[dict[str, Any]]) -> dict[str, Any]:

@@ -38,13 +38,17 @@ class Columns:
 class AxisColumns(Columns):
     """The signals of one axis that step and tracking figures need."""
 
-    time_ns: IntArray
     setpoint: FloatArray
     position: FloatArray
     error: FloatArray
     command_v: FloatArray
     running: BoolArray
     unit: str
+
+    @property
+    def time_ns(self) -> IntArray:
+        """Sampling instants in ns from the first recorded period, which ``time_s`` gives without a loss."""
+        return np.round(self.time_s * 1e9).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -228,7 +228,8 @@ def axis_summary(axis: AxisColumns | AxisTable) -> StepResponse | Tracking | Non
         largest = float(np.abs(controlled.error).max())
         return Tracking(axis.unit, rms, largest, _delay_s(controlled), min_valve_v, max_valve_v)
     before, after = float(axis.setpoint[step - 1]), float(axis.setpoint[step])
-    times_s = (axis.time_ns[step:] - axis.time_ns[step]) * 1e-9
+    since_ns = axis[step:].time_ns
+    times_s = (since_ns - since_ns[0]) * 1e-9
     deviation = (axis.position[step:] - after) / (after - before)
     steady = axis.error[step:][-max(round(STEADY_PART * len(deviation)), 1) :]
     return StepResponse(
