@@ -107,7 +107,7 @@ class _Page:
         self._summary = sum_up(recording, timing, {})
         self._loop_figure = self._figure_of_loop(timing)
         self._histograms = [
-            histogram("lateness", (timing.wake_ns - timing.deadline_ns) * 1e-3),
+            histogram("lateness", timing.lateness_ns * 1e-3),
             histogram("response", timing.response_ns[timing.response_ns >= 0] * 1e-3),
         ]
         self._axes: dict[str, StepResponse | Tracking] = {}
@@ -181,7 +181,7 @@ class _Page:
         return {"name": name, "panels": panels}
 
     def _figure_of_loop(self, timing: TimingColumns) -> dict[str, Any]:
-        late_us = (timing.wake_ns - timing.deadline_ns) * 1e-3
+        late_us = timing.lateness_ns * 1e-3
         response_us = np.where(timing.response_ns >= 0, timing.response_ns * 1e-3, np.nan)
         panels = [
             self._panel("lateness (µs)", "µs", 110, [self._curve("lateness", "c1", timing.time_s, late_us)]),

@@ -166,7 +166,7 @@ def sum_up(
     )
     return Summary(
         axes={name: summary for name, summary in axes.items() if summary is not None},
-        lateness=quantiles(timing.wake_ns - timing.deadline_ns),
+        lateness=quantiles(timing.lateness_ns),
         response=quantiles(timing.response_ns[timing.response_ns >= 0]),
         periods=len(timing),
         bring_up_periods=bring_up_periods,
@@ -183,7 +183,7 @@ def sum_up(
         messages_dropped=recording.messages_dropped,
         complete=recording.complete,
         ending=ending.get("reason", ""),
-        controlled_s=float(np.ptp(controlled.deadline_ns)) * 1e-9 if len(controlled) else 0.0,
+        controlled_s=_span_s(controlled),
         requested_s=float(ending[REQUESTED_DURATION]) if REQUESTED_DURATION in ending else None,
     )
 
@@ -200,6 +200,14 @@ def losses(summary: Summary) -> list[str]:
         (summary.messages_dropped, "message", "not recorded"),
     )
     return [f"{count} {what}{'s' * (count > 1)} {how}" for count, what, how in counted if count]
+
+
+def _span_s(timing: TimingColumns) -> float:
+    """Return the time in seconds from the first deadline to the last one."""
+    if len(timing) == 0:
+        return 0.0
+    late_s = timing.lateness_ns[[0, -1]] * 1e-9
+    return float((timing.time_s[-1] - late_s[1]) - (timing.time_s[0] - late_s[0]))
 
 
 def _bring_up_periods(timing: TimingColumns, state_names: dict[int, str]) -> int:
