@@ -4,8 +4,8 @@
 (format of the data between the processes), ``recorder_process``, ``mcap_writer``. Reading:
 ``open_recording``, ``reader``, ``tables``, ``entries``, ``run_files`` (several files as one), and for MCAP
 itself ``mcap_reader``, ``mcap_scan`` (files without an index, or damaged), ``mcap_chunks``, ``mcap_records``.
-``recover`` saves what is whole. Only the reading modules import
-numpy; the loop's side imports neither numpy nor mcap.
+``recover`` saves what is whole. Only the reading modules import numpy; the loop's side imports neither numpy
+nor mcap.
 """
 
 from __future__ import annotations

@@ -118,8 +118,8 @@ def compare(first: Recording, second: Recording, event: Event | None = None) -> 
         differences += _differences(name, one, other, pairs, since_ns)
     return Comparison(
         chosen,
-        first.seconds(first_ns),
-        second.seconds(second_ns),
+        first_ns * 1e-9,
+        second_ns * 1e-9,
         *controlled,
         samples,
         ends[0] * 1e-9,
@@ -143,7 +143,7 @@ def _aligned(first: Recording, second: Recording, event: Event | None) -> tuple[
 
 
 def _instant(recording: Recording, event: Event) -> int | None:
-    """Return the sampling instant of an event; None if the run does not have it."""
+    """Return an event's sampling instant in ns from the first period; None if the run does not have it."""
     found = []
     for name in recording.axes:
         axis = axis_columns(recording, name)

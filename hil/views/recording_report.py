@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -27,8 +28,8 @@ from hil.views.histograms import histogram
 from hil.views.life_cycle_stays import stays_in
 from hil.views.promises import Outcome, Promise, promises
 from hil.views.report_series import Slots, encode
-from hil.views.run_columns import WINDOW_S, axis_columns, timing_columns
-from hil.views.summary import StepResponse, Summary, Tracking, losses, summarise
+from hil.views.run_columns import WINDOW_S, TimingColumns, axis_columns, timing_columns
+from hil.views.summary import StepResponse, Summary, Tracking, axis_summary, losses, sum_up
 
 MIN_SPAN = {"m": 0.01, "rad": 0.1, "V": 1.0, "µs": 20.0, "1/s": 1.0}
 """Smallest range of a plot's vertical axis, by unit. A smaller one would magnify the converter's noise."""
@@ -94,23 +95,31 @@ class _Page:
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
-        self._timing = timing = timing_columns(recording)
+        timing = timing_columns(recording)
         if len(timing) == 0:
             raise RecordingError(f"{recording.path}: has no period, so there is nothing to report")
         self._start_s = float(timing.time_s[np.argmax(timing.running)])
         period_s = float(np.median(np.diff(timing.time_s))) if len(timing) > 1 else 1.0
         first_s, last_s = float(timing.time_s[0]), float(timing.time_s[-1])
-        self._slots = Slots.over(first_s - self._start_s, last_s - self._start_s, max(period_s, 1e-6))
-        self._panels: list[dict[str, Any]] = []
+        self._slots = Slots.over(first_s, last_s, max(period_s, 1e-6))
         self._stays = stays_in(timing, recording.state_names, self._start_s)
         self._log = recording.log()
+        self._summary = sum_up(recording, timing, {})
+        self._loop_figure = self._figure_of_loop(timing)
+        self._histograms = [
+            histogram("lateness", timing.lateness_ns * 1e-3),
+            histogram("response", timing.response_ns[timing.response_ns >= 0] * 1e-3),
+        ]
+        self._axes: dict[str, StepResponse | Tracking] = {}
 
     def values(self) -> dict[str, Any]:
         """Return the values of the template."""
-        recording, timing = self._recording, self._timing
-        figures = [self._axis_figure(name) for name in recording.axes]
-        loop_figure = self._loop_figure()
-        summary = summarise(recording)
+        recording = self._recording
+        figures = [*(self._axis_figure(name) for name in recording.axes), self._loop_figure]
+        panels = [panel for figure in figures for panel in figure["panels"]]
+        for number, panel in enumerate(panels):
+            panel["number"] = number
+        summary = replace(self._summary, axes=self._axes)
         controllers = dict(self._controllers())
         kept = [
             promise
@@ -122,11 +131,8 @@ class _Page:
             "subtitle": self._subtitle(),
             "statements": [*_endings(summary, recording), *_kept(kept)],
             "cards": _cards(summary),
-            "figures": [*figures, loop_figure],
-            "histograms": [
-                histogram("lateness", (timing.wake_ns - timing.deadline_ns) * 1e-3),
-                histogram("response", timing.response_ns[timing.response_ns >= 0] * 1e-3),
-            ],
+            "figures": figures,
+            "histograms": self._histograms,
             "steps": _step_rows(summary),
             "tracking": _tracking_rows(summary),
             "promises": [_promise_row(promise) for promise in kept],
@@ -135,7 +141,7 @@ class _Page:
             "log": self._log_rows(),
             "log_count": len(self._log),
             "facts": list(self._facts(controllers)),
-            "data": self._data(),
+            "data": self._data(panels),
         }
 
     def _subtitle(self) -> str:
@@ -150,6 +156,9 @@ class _Page:
 
     def _axis_figure(self, name: str) -> dict[str, Any]:
         axis = axis_columns(self._recording, name)
+        figures = axis_summary(axis)
+        if figures is not None:
+            self._axes[name] = figures
         unit = axis.unit
         panels = [
             self._panel(
@@ -171,9 +180,8 @@ class _Page:
         ]
         return {"name": name, "panels": panels}
 
-    def _loop_figure(self) -> dict[str, Any]:
-        timing = self._timing
-        late_us = (timing.wake_ns - timing.deadline_ns) * 1e-3
+    def _figure_of_loop(self, timing: TimingColumns) -> dict[str, Any]:
+        late_us = timing.lateness_ns * 1e-3
         response_us = np.where(timing.response_ns >= 0, timing.response_ns * 1e-3, np.nan)
         panels = [
             self._panel("lateness (µs)", "µs", 110, [self._curve("lateness", "c1", timing.time_s, late_us)]),
@@ -183,14 +191,14 @@ class _Page:
         ]
         curves = [
             self._curve(label, colour, time_s, rate)
-            for (label, time_s, rate), colour in zip(self._rates(), _COLOURS, strict=False)
+            for (label, time_s, rate), colour in zip(self._rates(timing), _COLOURS, strict=False)
         ]
         panels.append(self._panel("frames (1/s)", "1/s", 160, curves))
         return {"name": "Loop timing and frames", "panels": panels}
 
-    def _rates(self) -> Iterator[tuple[str, Any, Any]]:
+    def _rates(self, timing: TimingColumns) -> Iterator[tuple[str, Any, Any]]:
         """Yield label, times and rates of the most frequent kinds of frames."""
-        first_s, last_s = float(self._timing.time_s[0]), float(self._timing.time_s[-1])
+        first_s, last_s = float(timing.time_s[0]), float(timing.time_s[-1])
         length_s = max((last_s - first_s) / MAX_RATE_SLOTS, MIN_RATE_SLOT_S)
         count = int((last_s - first_s) / length_s)
         if count == 0:
@@ -217,32 +225,30 @@ class _Page:
     def _curve(
         self, label: str, colour: str, time_s: Any, values: Any, holds: bool = False
     ) -> dict[str, Any]:
-        shifted = time_s - self._start_s
         slots = self._slots
-        if len(shifted) < slots.count // 2:
-            ends = (shifted[0], shifted[-1]) if len(shifted) else (0.0, 1.0)
-            period_s = (ends[1] - ends[0]) / max(len(shifted) - 1, 1) or 1.0
+        if len(time_s) < slots.count // 2:
+            ends = (time_s[0], time_s[-1]) if len(time_s) else (0.0, 1.0)
+            period_s = (ends[1] - ends[0]) / max(len(time_s) - 1, 1) or 1.0
             slots = Slots.over(float(ends[0]), float(ends[1]), float(period_s))
         return {
             "label": label,
             "colour": colour,
             "holds": holds,
-            "start": slots.start_s,
+            "start": slots.start_s - self._start_s,
             "length": slots.length_s,
-            **encode(slots, shifted, values),
+            **encode(slots, time_s, values),
         }
 
     def _panel(self, label: str, unit: str, height: int, curves: list[dict[str, Any]]) -> dict[str, Any]:
-        number = len(self._panels)
-        self._panels.append({"label": label, "minSpan": MIN_SPAN.get(unit, 0.0), "curves": curves})
         legend = [(curve["label"], curve["colour"]) for curve in curves]
-        return {"number": number, "height": height, "label": label, "legend": legend}
+        plotted = {"label": label, "minSpan": MIN_SPAN.get(unit, 0.0), "curves": curves}
+        return {"height": height, "label": label, "legend": legend, "plotted": plotted}
 
-    def _data(self) -> dict[str, Any]:
+    def _data(self, panels: list[dict[str, Any]]) -> dict[str, Any]:
         return {
             "from": self._stays[0].from_s,
             "to": max(self._stays[-1].to_s, self._stays[0].from_s + 1e-3),
-            "panels": self._panels,
+            "panels": [panel["plotted"] for panel in panels],
             "states": [list(stay) for stay in self._stays],
             "marks": [
                 [

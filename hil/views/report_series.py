@@ -39,10 +39,12 @@ class Slots:
         length_s = period_s if count < max_slots else span_s / (count - 1)
         return Slots(start_s - length_s / 2, length_s, count)
 
-    def of(self, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    def of(self, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:
         """Return the slot of each instant; instants outside belong to the first or the last one."""
-        slots = ((time_s - self.start_s) / self.length_s).astype(np.int64)
-        return np.clip(slots, 0, self.count - 1)
+        exact = time_s - self.start_s
+        exact /= self.length_s
+        np.clip(exact, 0.0, self.count - 1.0, out=exact)
+        return exact.astype(np.int32)
 
 
 def encode(slots: Slots, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]) -> dict[str, Any]:
@@ -53,11 +55,12 @@ def encode(slots: Slots, time_s: npt.NDArray[np.float64], values: npt.NDArray[An
     """
     values = np.asarray(values, np.float64)
     known = np.isfinite(values)
-    time_s, values = time_s[known], values[known]
+    if not known.all():
+        time_s, values = time_s[known], values[known]
     smallest, largest = np.full(slots.count, np.nan), np.full(slots.count, np.nan)
     if len(values):
         slot = slots.of(time_s)
-        first = np.flatnonzero(np.diff(slot, prepend=-1))
+        first = np.concatenate([[0], np.flatnonzero(slot[1:] != slot[:-1]) + 1])
         smallest[slot[first]] = np.minimum.reduceat(values, first)
         largest[slot[first]] = np.maximum.reduceat(values, first)
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)

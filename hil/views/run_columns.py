@@ -13,7 +13,7 @@ import numpy as np
 from hil.core.wire.codec import SYNC
 from hil.recording.reader import Recording
 from hil.recording.schemas import AXIS_TOPIC, CYCLE_TOPIC
-from hil.recording.tables import BoolArray, ByteArray, FloatArray, IntArray
+from hil.recording.tables import BoolArray, ByteArray, FloatArray, IntArray, TimingTable
 
 WINDOW_S = 300.0
 """Length of the ranges of time that are read at once."""
@@ -38,7 +38,6 @@ class Columns:
 class AxisColumns(Columns):
     """The signals of one axis that step and tracking figures need."""
 
-    time_ns: IntArray
     setpoint: FloatArray
     position: FloatArray
     error: FloatArray
@@ -46,14 +45,19 @@ class AxisColumns(Columns):
     running: BoolArray
     unit: str
 
+    @property
+    def time_ns(self) -> IntArray:
+        """Sampling instants in ns from the first recorded period, which ``time_s`` gives without a loss."""
+        return np.round(self.time_s * 1e9).astype(np.int64)
+
 
 @dataclass(frozen=True, eq=False)
 class TimingColumns(Columns):
     """The timing of the loop, as in :class:`hil.recording.tables.TimingTable`."""
 
     number: IntArray
-    deadline_ns: IntArray
-    wake_ns: IntArray
+    lateness_ns: IntArray
+    """Time from the deadline to the call of the core."""
     state: ByteArray
     fresh: BoolArray
     running: BoolArray
@@ -79,14 +83,19 @@ def timing_columns(recording: Recording) -> TimingColumns:
     for window in recording.windows(WINDOW_S):
         timing = window.timing()
         sync_ns = np.concatenate([last_sync, window.frames("sent", SYNC).time_ns])
-        filler.add(timing, response_ns=_response_ns(timing, sync_ns))
+        filler.add(timing, **_durations(timing, sync_ns))
         last_sync = sync_ns[-1:]
     if filler.is_empty:
-        filler.add(recording.timing(), response_ns=np.empty(0, np.int64))
+        filler.add(recording.timing(), **_durations(recording.timing(), last_sync))
     return TimingColumns(**filler.columns())
 
 
-def _response_ns(timing: Any, sync_ns: IntArray) -> IntArray:
+def _durations(timing: TimingTable, sync_ns: IntArray) -> dict[str, IntArray]:
+    lateness_ns = np.asarray(timing.wake_ns - timing.deadline_ns, np.int64)
+    return {"lateness_ns": lateness_ns, "response_ns": _response_ns(timing, sync_ns)}
+
+
+def _response_ns(timing: TimingTable, sync_ns: IntArray) -> IntArray:
     """Return the times from the last SYNC before each sample to the period's command; -1 without them."""
     last = np.searchsorted(sync_ns, timing.receive_ns, side="right") - 1
     known = timing.fresh & (last >= 0)

@@ -6,6 +6,7 @@ Dynamic Systems, section 3.4. ``summary_table`` prints a summary.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -140,10 +141,16 @@ class Summary:
 
 def summarise(recording: Recording) -> Summary:
     """Sum up ``recording``. Raises RecordingError when it lacks the channels of the loop."""
-    timing = timing_columns(recording)
+    axes = {name: axis_summary(axis_columns(recording, name)) for name in recording.axes}
+    return sum_up(recording, timing_columns(recording), axes)
+
+
+def sum_up(
+    recording: Recording, timing: TimingColumns, axes: Mapping[str, StepResponse | Tracking | None]
+) -> Summary:
+    """Return the summary from the timing and the figures of the axes, for callers that have read them."""
     counts = recording.counts
     bring_up_periods = _bring_up_periods(timing, recording.state_names)
-    axes = {name: axis_summary(axis_columns(recording, name)) for name in recording.axes}
     ending = recording.metadata.get("ending", {})
     controlled = timing[_controlled(timing)][1:]
     dropped, unreadable, not_sent, rejected, lost, error_frames = (
@@ -159,7 +166,7 @@ def summarise(recording: Recording) -> Summary:
     )
     return Summary(
         axes={name: summary for name, summary in axes.items() if summary is not None},
-        lateness=quantiles(timing.wake_ns - timing.deadline_ns),
+        lateness=quantiles(timing.lateness_ns),
         response=quantiles(timing.response_ns[timing.response_ns >= 0]),
         periods=len(timing),
         bring_up_periods=bring_up_periods,
@@ -176,7 +183,7 @@ def summarise(recording: Recording) -> Summary:
         messages_dropped=recording.messages_dropped,
         complete=recording.complete,
         ending=ending.get("reason", ""),
-        controlled_s=float(np.ptp(controlled.deadline_ns)) * 1e-9 if len(controlled) else 0.0,
+        controlled_s=_span_s(controlled),
         requested_s=float(ending[REQUESTED_DURATION]) if REQUESTED_DURATION in ending else None,
     )
 
@@ -193,6 +200,14 @@ def losses(summary: Summary) -> list[str]:
         (summary.messages_dropped, "message", "not recorded"),
     )
     return [f"{count} {what}{'s' * (count > 1)} {how}" for count, what, how in counted if count]
+
+
+def _span_s(timing: TimingColumns) -> float:
+    """Return the time in seconds from the first deadline to the last one."""
+    if len(timing) == 0:
+        return 0.0
+    late_s = timing.lateness_ns[[0, -1]] * 1e-9
+    return float((timing.time_s[-1] - late_s[1]) - (timing.time_s[0] - late_s[0]))
 
 
 def _bring_up_periods(timing: TimingColumns, state_names: dict[int, str]) -> int:
@@ -221,7 +236,8 @@ def axis_summary(axis: AxisColumns | AxisTable) -> StepResponse | Tracking | Non
         largest = float(np.abs(controlled.error).max())
         return Tracking(axis.unit, rms, largest, _delay_s(controlled), min_valve_v, max_valve_v)
     before, after = float(axis.setpoint[step - 1]), float(axis.setpoint[step])
-    times_s = (axis.time_ns[step:] - axis.time_ns[step]) * 1e-9
+    since_ns = axis[step:].time_ns
+    times_s = (since_ns - since_ns[0]) * 1e-9
     deviation = (axis.position[step:] - after) / (after - before)
     steady = axis.error[step:][-max(round(STEADY_PART * len(deviation)), 1) :]
     return StepResponse(

@@ -17,6 +17,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 from support.mcap_files import chunk_starts, record_bytes, records, rewritten, without_crcs, without_end
 from support.recorded_runs import RUN_HEADER, in_memory, record_periods, record_run, wait_until
 
+from hil import run_experiment
 from hil.core.errors import RecordingError
 from hil.core.frames import Frame
 from hil.recording.handover import RECORD_HEADER
@@ -351,6 +352,15 @@ class TestWhatIsRecorded:
             times = {(a.log_time, a.create_time) for a in make_reader(stream).iter_attachments()}
         assert times == {(RUN_HEADER.epoch_offset_ns, RUN_HEADER.epoch_offset_ns)}
 
+    def test_frames_in_simulated_time_are_stamped_with_epoch_time(self, tmp_path: Path) -> None:
+        run = run_experiment(tmp_path / "run.mcap", duration_s=0.1)
+        received = run.frames("received")
+        assert len(received) > 10
+        np.testing.assert_array_equal(received.stamp_ns, received.time_ns + run.epoch_offset_ns)
+        with run.path.open("rb") as stream:
+            times = {a.log_time for a in make_reader(stream).iter_attachments()}
+        assert times == {run.epoch_offset_ns}
+
     def test_a_remote_frame_keeps_its_length(self, tmp_path: Path) -> None:
         path = tmp_path / "run.mcap"
         with in_memory(path):
@@ -383,9 +393,11 @@ class TestWhatIsRecorded:
         assert recorder.close({}).failure == "the file was removed or replaced while it was written"
 
     def test_a_file_that_was_ended_may_be_moved(self, tmp_path: Path) -> None:
-        path = tmp_path / "run.mcap"
+        path, second = tmp_path / "run.mcap", tmp_path / "second.mcap"
         recorder = Recorder(path, RUN_HEADER, lossless=True)
         record_periods(recorder, 3)
         recorder.stop({})
+        assert recorder.begin_file(second, {}, {}, ()) is None
+        wait_until(second.exists, "the second file, before which the first one ends")
         path.rename(tmp_path / "moved.mcap")
         assert recorder.close({}).failure is None
