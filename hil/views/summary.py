@@ -236,9 +236,9 @@ def axis_summary(axis: AxisColumns | AxisTable) -> StepResponse | Tracking | Non
         largest = float(np.abs(controlled.error).max())
         return Tracking(axis.unit, rms, largest, _delay_s(controlled), min_valve_v, max_valve_v)
     before, after = float(axis.setpoint[step - 1]), float(axis.setpoint[step])
-    since_ns = axis[step:].time_ns
-    times_s = (since_ns - since_ns[0]) * 1e-9
-    deviation = (axis.position[step:] - after) / (after - before)
+    times_s = axis.time_s[step:] - axis.time_s[step]
+    deviation = axis.position[step:] - after
+    deviation /= after - before
     steady = axis.error[step:][-max(round(STEADY_PART * len(deviation)), 1) :]
     return StepResponse(
         unit=axis.unit,
