@@ -272,7 +272,7 @@ def _last_step(axis: AxisColumns | AxisTable) -> int | None:
 
 
 def _settling_s(times_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64]) -> float | None:
-    outside = np.flatnonzero(np.abs(deviation) > SETTLING_BAND)
+    outside = np.flatnonzero((deviation > SETTLING_BAND) | (deviation < -SETTLING_BAND))
     if len(outside) == 0:
         return 0.0
     first_inside = int(outside[-1]) + 1
