@@ -236,9 +236,9 @@ def axis_summary(axis: AxisColumns | AxisTable) -> StepResponse | Tracking | Non
         largest = float(np.abs(controlled.error).max())
         return Tracking(axis.unit, rms, largest, _delay_s(controlled), min_valve_v, max_valve_v)
     before, after = float(axis.setpoint[step - 1]), float(axis.setpoint[step])
-    since_ns = axis[step:].time_ns
-    times_s = (since_ns - since_ns[0]) * 1e-9
-    deviation = (axis.position[step:] - after) / (after - before)
+    times_s = axis.time_s[step:] - axis.time_s[step]
+    deviation = axis.position[step:] - after
+    deviation /= after - before
     steady = axis.error[step:][-max(round(STEADY_PART * len(deviation)), 1) :]
     return StepResponse(
         unit=axis.unit,
@@ -272,7 +272,7 @@ def _last_step(axis: AxisColumns | AxisTable) -> int | None:
 
 
 def _settling_s(times_s: npt.NDArray[np.float64], deviation: npt.NDArray[np.float64]) -> float | None:
-    outside = np.flatnonzero(np.abs(deviation) > SETTLING_BAND)
+    outside = np.flatnonzero((deviation > SETTLING_BAND) | (deviation < -SETTLING_BAND))
     if len(outside) == 0:
         return 0.0
     first_inside = int(outside[-1]) + 1
