@@ -101,6 +101,20 @@ def main(argv: list[str]) -> int:
     return 0
 
 
+MAX_SPAN_RATIO = 10.0
+"""Largest ratio of a stated end to the axis' range in the rig file; more is a mistaken unit."""
+
+
+def _check_ends(options: argparse.Namespace, axis: AxisSettings) -> None:
+    """Refuse ends that are far outside the range of the axis. Raises DocumentError."""
+    limit = MAX_SPAN_RATIO * max(abs(axis.min_y), abs(axis.max_y))
+    if max(abs(options.low), abs(options.high)) > limit:
+        raise DocumentError(
+            f"--low {options.low:g}, --high {options.high:g}: far beyond {axis.min_y:g} to {axis.max_y:g} "
+            f"{axis.unit} (rig: axes.{options.axis}.min_y, max_y); positions are in {axis.unit}"
+        )
+
+
 def _check(options: argparse.Namespace, rig: Rig) -> None:
     """Check the arguments against each other and the rig. Raises DocumentError."""
     if options.axis not in rig.axes:
@@ -115,6 +129,8 @@ def _check(options: argparse.Namespace, rig: Rig) -> None:
         )
     if options.low is not None and not (math.isfinite(options.low) and math.isfinite(options.high)):
         raise DocumentError(f"--low {options.low}, --high {options.high}: positions must be finite numbers")
+    if options.low is not None:
+        _check_ends(options, rig.axes[options.axis])
     if (options.force or options.output) and options.rig is None:
         raise DocumentError("--rig is missing: name the rig file whose values are to be changed")
     if options.output and options.output.exists():

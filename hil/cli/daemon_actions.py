@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 from hil.core.output import LogEntry, Severity
 from hil.core.requests import Reply
+from hil.core.rig import Rig
 from hil.operation.protocol import EventCall, LoopCall, RecordNewCall, RecordStopCall, ShutdownCall
 from hil.shells.operator_port import Action
 from hil.shells.run_plan import StopRequest
@@ -22,10 +23,22 @@ def has_events(options: argparse.Namespace) -> bool:
     return not (options.linear or options.plant)
 
 
-def daemon_actions(stop: StopRequest, events: socket.socket | None) -> Mapping[type[LoopCall], Action]:
+def unseen_events(rig: Rig) -> dict[str, str]:
+    """Return the events that the gateway cannot see, and the section that the rig file lacks."""
+    inputs = {
+        "emergency-stop": ("emergency_stop", rig.emergency_stop),
+        "enable-switch": ("enable", rig.enable),
+    }
+    return {event: section for event, (section, settings) in inputs.items() if settings is None}
+
+
+def daemon_actions(
+    stop: StopRequest, events: socket.socket | None, unseen: Mapping[str, str] | None = None
+) -> Mapping[type[LoopCall], Action]:
     """Return the action for each type of request.
 
-    ``stop`` ends the daemon. ``events`` leads to the simulated arm; None if there is none.
+    ``stop`` ends the daemon. ``events`` leads to the simulated arm; None if there is none. ``unseen`` is the
+    result of :func:`unseen_events`.
     """
 
     def shut_down(session: Session, _call: ShutdownCall, asked_by: str) -> Reply:
@@ -37,6 +50,12 @@ def daemon_actions(stop: StopRequest, events: socket.socket | None) -> Mapping[t
         session.note(LogEntry(Severity.INFO, "operator", f"{asked_by} asks: event {call.text}"))
         if events is None:
             return Reply(False, "only the simulated arm has events")
+        section = (unseen or {}).get(call.text.partition(":")[0])
+        if section is not None:
+            return Reply(
+                False,
+                f"the rig file has no [{section}], so the gateway would not see {call.text}; add it first",
+            )
         try:
             events.send(call.text.encode())
         except OSError as error:

@@ -12,7 +12,7 @@ import traceback
 from firmware_sim.simulated_plant import planned_events
 from hil import __version__
 from hil.cli.confirmation import protection_warnings
-from hil.cli.daemon_actions import EVENT_CHECK, daemon_actions, has_events
+from hil.cli.daemon_actions import EVENT_CHECK, daemon_actions, has_events, unseen_events
 from hil.cli.live_page import start_page
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
@@ -75,7 +75,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         port = OperatorPort(
             stack.enter_context(socket_process(listener, facts)),
             _described(setup, bus, epoch_offset_ns),
-            daemon_actions(stop, events),
+            daemon_actions(stop, events, unseen_events(setup.rig)),
             lambda: None if recordings is None or recordings.path is None else str(recordings.path),
             time.monotonic_ns,
         )

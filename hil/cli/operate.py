@@ -15,15 +15,22 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.cli.axis_values import by_axis
-from hil.core.errors import DocumentError, OperationError
+from hil.core.errors import DocumentError, OperationError, RequestRefusedError
 from hil.core.setpoints import FORMS
 from hil.host.command_parser import CommandParser, number
 from hil.operation.client import Client, connect
+from hil.operation.protocol import AxisStatus, Status
 
 JOG_SPAN_S = 0.3
 """A longer jog is sent in parts of this duration. If this command ends, the axis stops within it."""
 JOG_REPEAT_S = 0.1
 """Time from one part of a long jog to the next."""
+MIN_JOG_S = 0.01
+"""Shortest last part of a long jog."""
+STATUS_S = 0.1
+"""Time between two looks at the daemon's status."""
+MAX_JOG_S = 10.0
+"""Longest jog of one command."""
 
 
 class OperatorCommand(NamedTuple):
@@ -62,7 +69,7 @@ def add_socket_option(parser: argparse.ArgumentParser) -> None:
         "--socket",
         type=Path,
         metavar="PATH",
-        help="the daemon's socket (default: hil/daemon.sock in the runtime folder)",
+        help="the daemon's socket (default: $XDG_RUNTIME_DIR/hil/daemon.sock, or /run/hil/daemon.sock)",
     )
 
 
@@ -97,7 +104,7 @@ def _add_setpoint_arguments(parser: CommandParser) -> None:
 
 def _set_setpoints(client: Client, options: argparse.Namespace) -> str:
     said = []
-    for axis, text in by_axis("hil setpoint", options.setpoints, "vertical=0.05").items():
+    for axis, text in by_axis("", options.setpoints, "vertical=0.05").items():
         try:
             setpoint: float | str = float(text)
         except ValueError:
@@ -116,7 +123,7 @@ def _set_controllers(client: Client, options: argparse.Namespace) -> str:
     from hil.shells.run_setup import controller_path
 
     said = []
-    for axis, name in by_axis("hil controller", options.controllers, "vertical=hls").items():
+    for axis, name in by_axis("", options.controllers, "vertical=hls").items():
         said.append(client.set_controller(axis, controller_path(name)))
     return "\n".join(said)
 
@@ -126,27 +133,59 @@ def _add_jog_arguments(parser: CommandParser) -> None:
     parser.add_argument(
         "--for",
         dest="duration_s",
-        type=duration,
+        type=jog_duration,
         default=0.2,
         metavar="TIME",
-        help="duration, such as 0.2s or 200ms (default 0.2s)",
+        help=f"duration, such as 0.2s or 200ms, at most {MAX_JOG_S:g}s (default 0.2s)",
     )
 
 
 def _jog(client: Client, options: argparse.Namespace) -> str:
     """Jog in short parts, so that the axis stops when this command ends."""
-    axis, text = _pair("hil jog", options.move, "vertical=+0.5")
+    axis, text = _pair("", options.move, "vertical=+0.5")
     try:
         offset_v = float(text)
     except ValueError:
-        raise DocumentError(f"hil jog {options.move}: {text!r} is not a number of volts") from None
+        raise DocumentError(f"{options.move}: {text!r} is not a number of volts") from None
+    before = _axis_status(client, axis)
     end_s = time.monotonic() + options.duration_s
     left_s = options.duration_s
     while left_s > JOG_SPAN_S:
         client.jog(axis, offset_v, JOG_SPAN_S)
         time.sleep(JOG_REPEAT_S)
         left_s = end_s - time.monotonic()
-    return client.jog(axis, offset_v, left_s)
+    client.jog(axis, offset_v, max(left_s, MIN_JOG_S))
+    time.sleep(max(left_s, 0.0))
+    while (now := _status(client)) is not None and now.state == "running":
+        time.sleep(STATUS_S)
+    after = _axis_status(client, axis)
+    if before is None or after is None or before.position is None or after.position is None:
+        return "the jog is over"
+    moved = f"{axis} moved from {before.position:+.4f} to {after.position:+.4f} {after.unit}"
+    return f"{moved}; its valve is centred"
+
+
+def _status(client: Client) -> Status | None:
+    """Return the daemon's status; None before its first period."""
+    try:
+        return client.status()
+    except RequestRefusedError:
+        return None
+
+
+def _axis_status(client: Client, name: str) -> AxisStatus | None:
+    status = _status(client)
+    return None if status is None else next((axis for axis in status.axes if axis.name == name), None)
+
+
+def jog_duration(text: str) -> float:
+    """Return the seconds of a jog, at most ``MAX_JOG_S``."""
+    value = duration(text)
+    if value > MAX_JOG_S:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is longer than {MAX_JOG_S:g} s; repeat the command instead"
+        )
+    return value
 
 
 def _add_event_arguments(parser: CommandParser) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Iterable
 
@@ -21,13 +22,17 @@ UP_AND_CLEAR = "\x1b[{lines}F\x1b[J"
 """Terminal sequence that goes up by some lines and erases what is below."""
 
 
+MIN_INTERVAL_S, MAX_INTERVAL_S = 0.05, 60.0
+"""Limits of the time between two looks, those of the protocol."""
+
+
 def parser() -> CommandParser:
     """Return the parser of the arguments of ``hil status``."""
     command = CommandParser(prog="hil status", description=DESCRIPTION)
     command.add_argument("--watch", action="store_true", help="show it again and again, with the log")
     command.add_argument(
         "--interval",
-        type=duration,
+        type=_interval,
         default=0.2,
         metavar="TIME",
         help="time between two looks of --watch, 0.05s to 60s (default 0.2s)",
@@ -35,6 +40,15 @@ def parser() -> CommandParser:
     command.add_argument("--json", action="store_true", help="print a line of JSON for each look")
     add_socket_option(command)
     return command
+
+
+def _interval(text: str) -> float:
+    value = duration(text)
+    if not MIN_INTERVAL_S <= value <= MAX_INTERVAL_S:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not between {MIN_INTERVAL_S:g}s and {MAX_INTERVAL_S:g}s"
+        )
+    return value
 
 
 def main(argv: list[str]) -> int:

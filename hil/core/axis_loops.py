@@ -8,7 +8,7 @@ and in which state the control laws act.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from hil.core.control_law import ControlLaw, Matching
@@ -23,6 +23,7 @@ from hil.core.phase import Phase
 from hil.core.references import (
     GivenSetpoint,
     HeldPosition,
+    LimitedSetpoint,
     OperatorSetpoints,
     Reference,
     present_step,
@@ -42,13 +43,14 @@ class LoopFailure(NamedTuple):
 class AxisLoop:
     """Setpoint, control law, envelope, scaling and last signals of one axis."""
 
-    __slots__ = ("envelope", "law", "name", "position", "reference", "setpoint", "signals")
+    __slots__ = ("envelope", "first_reference", "law", "name", "position", "reference", "setpoint", "signals")
 
     def __init__(self, rig: Rig, name: str, law: ControlLaw, setpoint: Setpoint) -> None:
         axis = rig.axes[name]
         self.name = name
         self.law = law
-        self.reference: Reference = HeldPosition() if setpoint.text == HOLD else GivenSetpoint(setpoint)
+        self.first_reference: Reference = HeldPosition() if setpoint.text == HOLD else GivenSetpoint(setpoint)
+        self.reference: Reference = self.first_reference
         self.setpoint: Function = setpoint.at
         """Setpoint r(t) since control began."""
         self.position = axis.potentiometer.position
@@ -236,6 +238,17 @@ class AxisLoops:
             step = present_step(axis.setpoint, self._t, self._period_s)
             axis.setpoint = reference.take_over(axis.signals.setpoint, step)
         axis.reference = reference
+
+    def forget_setpoints(self) -> None:
+        """Return to the setpoints with which the gateway was started, and forget those of operators."""
+        for axis in self._axes:
+            axis.reference = axis.first_reference
+
+    def requested_setpoints(self) -> Iterator[tuple[str, str]]:
+        """Yield axis and text of each setpoint that an operator has asked for since the last stop."""
+        for axis in self._axes:
+            if isinstance(axis.reference, LimitedSetpoint):
+                yield axis.name, axis.reference.text
 
     def change_law(self, name: str, law: ControlLaw, is_running: bool) -> Matching | None:
         """Replace the control law of an axis.

@@ -203,6 +203,11 @@ class Gateway:
         return output._replace(reply=Reply(self._state.current is not before, text))
 
     @property
+    def is_jogging(self) -> bool:
+        """Whether an operator jogs an axis."""
+        return self._jogging.is_active
+
+    @property
     def _is_controlling(self) -> bool:
         """Whether the controllers act on the valves."""
         return self._state.current is LifeCycleState.RUNNING and not self._jogging.is_active
@@ -213,7 +218,11 @@ class Gateway:
             return self._state.refuse(trigger, self._describe(now_ns))
         if trigger is Trigger.START:
             return self._start(now_ns)
+        if trigger is Trigger.STOP and self._jogging.is_active:
+            self._jogging.await_release(now_ns)
         changed = self._state.enter(trigger)
+        if trigger is not Trigger.ARM:
+            self._loops.forget_setpoints()  # The next start must not move an axis to an old setpoint.
         if trigger is Trigger.STOP:
             return combine(changed, self._centre())
         if trigger is Trigger.RESET:
@@ -259,7 +268,11 @@ class Gateway:
         self._loops.restart()
         self._jogging.cancel()
         self._reported_phase = Phase.NONE
-        return combine(self._state.enter(Trigger.START), Output(log=self._disabled_checks))
+        moves = tuple(
+            LogEntry(Severity.INFO, axis, f"{axis} approaches {text}")
+            for axis, text in self._loops.requested_setpoints()
+        )
+        return combine(self._state.enter(Trigger.START), Output(log=moves + self._disabled_checks))
 
     # The end of a period and the beginning of the next
 
@@ -379,6 +392,7 @@ class Gateway:
             case LoopFailure() as failed:
                 return self._fail(failed, now_ns)
             case JogEnd(reason):
+                self._jogging.await_release(now_ns)
                 ended = self._jogging.end(reason)
                 return combine(ended, self._centre(), Output(cycle=self._cycle(now_ns, True)))
         return Output((self._loops.command(),), cycle=self._cycle(now_ns, True))

@@ -16,6 +16,9 @@ from hil.core.output import NOTHING, Output, answer, combine
 from hil.core.requests import JogRequest, Reply
 from hil.core.rig import Rig
 
+RELEASE_NS = 500_000_000
+"""Time without a request after which an axis can be jogged again, if its jog was stopped."""
+
 
 class Jogging:
     """The present jog, if there is one.
@@ -38,6 +41,8 @@ class Jogging:
         self._circumstances = circumstances
         self._enable_problem = enable_problem
         self._jog: Jog | None = None
+        self._refused_until_ns: int | None = None
+        """Time until which jogs are refused, because whoever jogs has not let go yet; None without one."""
 
     @property
     def is_active(self) -> bool:
@@ -48,6 +53,13 @@ class Jogging:
         """Forget the last jog, because the controllers take over."""
         self._jog = None
 
+    def await_release(self, now_ns: int) -> None:
+        """Refuse jogs until nobody has asked for one for ``RELEASE_NS``: the present one was stopped.
+
+        Otherwise the next request of whoever jogs would begin it again.
+        """
+        self._refused_until_ns = now_ns + RELEASE_NS
+
     def take(self, request: JogRequest, now_ns: int) -> Output:
         """Begin or extend a jog of an axis that the rig has, or refuse it."""
         reason = self._refusal(request, now_ns)
@@ -56,7 +68,7 @@ class Jogging:
         motion = f"{request.offset_v:+g} V for {request.duration_s:g} s"
         if self._jog is not None and self.is_active:
             self._jog.extend(request, now_ns)
-            return answer(request.axis, Reply(True, f"jog goes on: {motion}"))
+            return Output(reply=Reply(True, f"jog goes on: {motion}"))
         self._loops.restart()
         self._jog = Jog(self._rig.axes[request.axis], request, now_ns)
         begun = answer(request.axis, Reply(True, f"jog begins: {motion}"))
@@ -84,6 +96,11 @@ class Jogging:
     def _refusal(self, request: JogRequest, now_ns: int) -> str | None:
         """Return why a jog is not possible now, or None."""
         state, axis = self._state.current, request.axis
+        if self._refused_until_ns is not None:
+            if now_ns < self._refused_until_ns:
+                self.await_release(now_ns)
+                return f"the jog was stopped; let go, and jog again after {RELEASE_NS / 1e9:g} s"
+            self._refused_until_ns = None
         if self._jog is not None and self.is_active:
             if self._jog.axis != axis:
                 return f"{self._jog.axis} is being jogged; one axis at a time"

@@ -80,6 +80,8 @@ class LimitedSetpoint:
     def __init__(self, maker: OperatorSetpoints, setpoint: Setpoint) -> None:
         self._maker = maker
         self._setpoint = setpoint
+        self.text = setpoint.text
+        """Setpoint as it was asked for."""
 
     def first(self, y: float) -> float:
         """Return the position ``y``, from which the setpoint is approached."""

@@ -38,6 +38,16 @@ _DEFAULT_BAUD: Final = 115_200
 _PORTS: Final = range(1024, 65536)
 
 
+def check_name(spec: str) -> None:
+    """Raise LinkError if ``spec`` has the form of no bus. Nothing is opened."""
+    if not re.fullmatch(r"(socketcan:)?[\w.-]{1,15}|slcan:/.+|udp:\d{1,9}|inproc:.+", spec, re.ASCII):
+        raise _no_bus(spec)
+
+
+def _no_bus(spec: str) -> LinkError:
+    return LinkError(f"{spec!r} names no bus. Use one of these forms:\n{BUS_FORMS}")
+
+
 def open_port(spec: str) -> tuple[Port, Origin]:
     """Open the bus that ``spec`` names; return it with the clock of its time stamps. Raises LinkError."""
     import logging
@@ -62,7 +72,7 @@ def open_port(spec: str) -> tuple[Port, Origin]:
         from hil.links.in_process import InProcessBus
 
         return MessagePort(InProcessBus(rest), name), "user"
-    raise LinkError(f"{spec!r} names no bus. Use one of these forms:\n{BUS_FORMS}")
+    raise _no_bus(spec)
 
 
 def _open_socketcan(spec: str, interface: str) -> SocketBus:

@@ -57,11 +57,18 @@ def _protection(rig: Rig, is_real_bus: bool) -> Iterator[Check]:
         low, high = axis.limits.min_y, axis.limits.max_y
         found = f"disabled: {disabled}" if disabled else f"soft end stops {low:g} and {high:g} {axis.unit}"
         yield check(f"envelope {name}", found, advice if disabled else "")
-    for name, settings in (("emergency_stop", rig.emergency_stop), ("enable", rig.enable)):
+    stop, switch = (
+        "a normally closed contact of the emergency stop",
+        "a switch that is closed while it is held",
+    )
+    for name, settings, contact in (
+        ("emergency_stop", rig.emergency_stop, stop),
+        ("enable", rig.enable, switch),
+    ):
         if settings is not None:
             yield check(name, f"frame 0x{settings.frame:03X}, byte {settings.byte}, bit {settings.bit}")
         elif is_real_bus:
-            advice = f"wire a normally closed contact to a digital input, and add [{name}] to the rig file"
+            advice = f"wire {contact} to a digital input, and add [{name}] to the rig file"
             yield check(name, "none in the rig file", advice)
 
 

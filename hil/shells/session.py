@@ -12,7 +12,7 @@ from hil.core.errors import LinkError
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
-from hil.core.requests import ControllerRequest, Reply, Request
+from hil.core.requests import ControllerRequest, JogRequest, Reply, Request
 from hil.core.wire.codec import RPDO1_DAC
 from hil.recording.no_recorder import RunRecorder
 from hil.recording.request_texts import describe_request
@@ -89,7 +89,8 @@ class Session:
         ``asked_by`` says who asked, such as ``uid 1000, pid 4711``; it is recorded with the request. A
         controller that was prepared in another process saves the core the time to read and check it.
         """
-        if asked_by:
+        goes_on = isinstance(request, JogRequest) and self.gateway.is_jogging
+        if asked_by and not goes_on:
             text = f"{asked_by} asks: {describe_request(request)}"
             self.note(LogEntry(Severity.INFO, "operator", text))
         now_ns = self._clock_ns()

@@ -44,7 +44,7 @@ def test_open_loop_gives_the_valve_its_offset_plus_the_excitation(collect: Colle
     np.testing.assert_allclose(command_v[excited], 5.0 + offset_v + values, atol=1e-9)
     assert abs(offset_v) < 0.1
     assert "inside the fence at -120 and 120 mm" in printed
-    assert f"{len(values)} excited, 0 periods without a sample" in printed
+    assert f"{len(values)} excited, 0 periods without a good sample" in printed
     assert "next        hil identify" in printed
 
 

@@ -119,7 +119,7 @@ def test_the_commands_say_what_happened(running: Daemon) -> None:
         (["arm"], "ready -> armed (arm)"),
         (["setpoint", "vertical=0.02", "rotation=hold"], "setpoint step:0.02@0"),
         (["controller", "vertical=ppid"], "controller ppid"),
-        (["jog", "vertical=+0.3", "--for", "50ms"], "jog begins: +0.3 V for 0.05 s"),
+        (["jog", "vertical=+0.3", "--for", "50ms"], "its valve is centred"),
     ):
         done = running.hil(*arguments)
         assert done.returncode == 0, done.stderr

@@ -166,6 +166,7 @@ def test_a_page_operates_a_daemon(page: Page, tmp_path: Path) -> None:
         page.get_by_label("setpoint", exact=True).fill("0.02")
         page.get_by_role("button", name="Set", exact=True).click()
         expect(reply).to_contain_text("setpoint 0.02", timeout=30_000)
+        page.wait_for_function(f"Math.abs(hilLive.last[{len(COLUMNS)}] - 0.02) < 1e-9", timeout=30_000)
         page.get_by_role("button", name="Stop", exact=True).click()
         expect(state).to_have_text("armed", timeout=30_000)
         assert main(["shutdown", "--socket", at]) == 0

@@ -181,8 +181,8 @@ def test_an_internal_error_ends_the_run_and_is_reported_without_a_traceback(
 ) -> None:
     path = tmp_path / "run.mcap"
     program = (
-        "import sys; from hil.cli import main; from hil.links import Link\n"
-        "Link.receive = lambda *_: 1 / 0\n"
+        "import sys; from hil.cli import main; from hil.shells import realtime\n"
+        "realtime._receive = lambda *_: 1 / 0\n"
         f"sys.exit(main(['run', '--bus', 'udp:43998', '--record', {str(path)!r}]))\n"
     )
     environment = os.environ | ({"HIL_TRACEBACK": "1"} if is_wanted else {})

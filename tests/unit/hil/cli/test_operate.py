@@ -79,9 +79,26 @@ def test_a_controller_is_a_file_or_a_shipped_one(bench: Bench) -> None:
 def test_a_jog_is_one_request_if_it_is_short(bench: Bench) -> None:
     loop, at = bench
     assert main(["jog", "vertical=-0.5", "--for", "0.2s", *at]) == 0
-    assert [asked.call for asked in loop.asked] == [
-        JogCall(id=1, axis="vertical", offset_v=-0.5, duration_s=0.2)
-    ]
+    (call,) = [asked.call for asked in loop.asked]
+    assert isinstance(call, JogCall)
+    assert (call.axis, call.offset_v) == ("vertical", -0.5)
+    assert 0.19 < call.duration_s <= 0.2
+
+
+def test_a_jog_says_how_far_the_axis_moved(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    loop, at = bench
+    loop.send_status()
+    while main(["status", *at]) != 0:
+        pass
+    capsys.readouterr()
+    assert main(["jog", "vertical=0.5", *at]) == 0
+    assert capsys.readouterr().out == "vertical moved from +0.0123 to +0.0123 m; its valve is centred\n"
+
+
+def test_a_jog_is_not_longer_than_a_person_can_watch(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["jog", "vertical=0.5", "--for", "60s"])
+    assert "'60s' is longer than 10 s" in capsys.readouterr().err
 
 
 def test_a_long_jog_is_repeated_in_parts(bench: Bench) -> None:
@@ -105,7 +122,7 @@ def test_an_event_is_checked_by_the_daemon(bench: Bench, capsys: pytest.CaptureF
     [
         (["jog", "vertical"], "the axis or the value is missing"),
         (["jog", "vertical=fast"], "'fast' is not a number of volts"),
-        (["setpoint", "vertical"], "write hil setpoint vertical=0.05"),
+        (["setpoint", "vertical"], "the axis or the value is missing; write vertical=0.05"),
         (["controller", "vertical=nosuch"], "there is no file nosuch"),
     ],
 )

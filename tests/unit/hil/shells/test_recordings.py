@@ -23,7 +23,7 @@ from hil.shells.session import Session
 
 WHO = "uid 1000"
 HORIZONTAL = (SHIPPED_CONTROLLERS / "horizontal.json").read_text()
-SETPOINTS = {"vertical": "step:0.05@0.1", "horizontal": "hold", "rotation": "ramp:0.2@0.1/1"}
+SETPOINTS = {"vertical": "hold", "horizontal": "hold", "rotation": "ramp:0.2@0.1/1"}
 SCRIPT: list[tuple[Request, int]] = [
     (Trigger.ARM, 2),
     (JogRequest("vertical", 0.4, 0.3), 40),
@@ -122,7 +122,7 @@ def test_changed_controllers_are_in_the_files_that_follow(parts: list[Recording]
     name = "changed/controllers/vertical.json"
     assert name not in parts[0].attachments
     assert json.loads(parts[-1].attachments[name]) == json.loads(HORIZONTAL)
-    assert setup_of(parts[-1]).setpoints["vertical"].text == "step:0.05@0.1"
+    assert setup_of(parts[-1]).setpoints["rotation"].text == "ramp:0.2@0.1/1"
 
 
 def test_a_changed_state_is_found(parts: list[Recording]) -> None:
