@@ -28,7 +28,9 @@ JOG_REPEAT_S = 0.1
 MIN_JOG_S = 0.01
 """Shortest last part of a long jog."""
 STATUS_S = 0.1
-"""Time between two looks at the daemon's status."""
+"""Time between two looks at the daemon's status, which is at most as old."""
+END_TIMEOUT_S = 1.0
+"""Longest wait for the state that follows a jog."""
 MAX_JOG_S = 10.0
 """Longest jog of one command."""
 
@@ -154,15 +156,28 @@ def _jog(client: Client, options: argparse.Namespace) -> str:
         client.jog(axis, offset_v, JOG_SPAN_S)
         time.sleep(JOG_REPEAT_S)
         left_s = end_s - time.monotonic()
-    client.jog(axis, offset_v, max(left_s, MIN_JOG_S))
-    time.sleep(max(left_s, 0.0))
-    while (now := _status(client)) is not None and now.state == "running":
+    last_s = max(left_s, MIN_JOG_S)
+    client.jog(axis, offset_v, last_s)
+    # The jog ends by time, and a status may be STATUS_S old.
+    time.sleep(last_s + STATUS_S)
+    end_s = time.monotonic() + END_TIMEOUT_S
+    while (now := _status(client)) is not None and now.state == "running" and time.monotonic() < end_s:
         time.sleep(STATUS_S)
-    after = _axis_status(client, axis)
+    return _describe_jog(axis, before, now)
+
+
+def _describe_jog(name: str, before: AxisStatus | None, now: Status | None) -> str:
+    """Return how far an axis moved, and whether the valves are centred now."""
+    if now is None:
+        return "the jog is over; the daemon has no status"
+    after = _axis_of(now, name)
     if before is None or after is None or before.position is None or after.position is None:
-        return "the jog is over"
-    moved = f"{axis} moved from {before.position:+.4f} to {after.position:+.4f} {after.unit}"
-    return f"{moved}; its valve is centred"
+        moved = "the jog is over"
+    else:
+        moved = f"{name} moved from {before.position:+.4f} to {after.position:+.4f} {after.unit}"
+    # Somebody else may have started the controllers, or jog on.
+    is_running = now.state == "running"
+    return f"{moved}; {'the daemon is still running' if is_running else 'its valve is centred'}"
 
 
 def _status(client: Client) -> Status | None:
@@ -175,7 +190,11 @@ def _status(client: Client) -> Status | None:
 
 def _axis_status(client: Client, name: str) -> AxisStatus | None:
     status = _status(client)
-    return None if status is None else next((axis for axis in status.axes if axis.name == name), None)
+    return None if status is None else _axis_of(status, name)
+
+
+def _axis_of(status: Status, name: str) -> AxisStatus | None:
+    return next((axis for axis in status.axes if axis.name == name), None)
 
 
 def jog_duration(text: str) -> float:

@@ -95,6 +95,18 @@ def test_a_jog_says_how_far_the_axis_moved(bench: Bench, capsys: pytest.CaptureF
     assert capsys.readouterr().out == "vertical moved from +0.0123 to +0.0123 m; its valve is centred\n"
 
 
+def test_a_jog_does_not_wait_for_controllers_that_somebody_else_started(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, at = bench
+    loop.send_status(state="running")
+    while main(["status", *at]) != 0:
+        pass
+    capsys.readouterr()
+    assert main(["jog", "vertical=0.5", *at]) == 0
+    assert capsys.readouterr().out.endswith("m; the daemon is still running\n")
+
+
 def test_a_jog_is_not_longer_than_a_person_can_watch(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(["jog", "vertical=0.5", "--for", "60s"])
