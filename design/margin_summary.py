@@ -19,7 +19,7 @@ class LoopMargins:
     """Margins of a sampled loop with negative feedback. All are exact, not read from a frequency grid."""
 
     stable: bool
-    """Whether all closed-loop poles lie inside the unit circle."""
+    """True if all closed-loop poles lie inside the unit circle."""
     stability_margin: float
     """Normalised coprime margin of plant and controller, 0 if unstable (``ncfmargin``).
 

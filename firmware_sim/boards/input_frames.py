@@ -18,9 +18,9 @@ class Contacts(NamedTuple):
     """State of the contacts that are wired to the inputs."""
 
     emergency_stop: bool = True
-    """Whether the emergency stop is closed, that is, released."""
+    """True if the emergency stop is closed, that is, released."""
     enable: bool = True
-    """Whether the enable switch is closed, that is, held."""
+    """True if the enable switch is closed, that is, held."""
 
 
 class InputFrames:
@@ -39,7 +39,7 @@ class InputFrames:
 
     @property
     def is_used(self) -> bool:
-        """Whether the rig file names an input."""
+        """True if the rig file names an input."""
         return bool(self._inputs)
 
     @property

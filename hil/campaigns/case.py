@@ -55,7 +55,7 @@ class CaseResult(msgspec.Struct, frozen=True):
     centred_after_periods: int | None
     """Periods from the fault until the valves stayed centred; None if they did not."""
     limits_held: bool
-    """Whether all valve commands kept the magnitude and rate limits of the rig file."""
+    """True if all valve commands kept the magnitude and rate limits of the rig file."""
     max_error: float
     """Largest control error of any axis as a fraction of its range of setpoints, while running."""
     overshoot: float | None

@@ -95,7 +95,7 @@ class Collected:
     fence_crossings: int
     offset_v: float
     is_complete: bool
-    """Whether all of the excitation was given."""
+    """True if all of the excitation was given."""
 
 
 def parser() -> CommandParser:

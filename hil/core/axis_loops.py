@@ -222,7 +222,7 @@ class AxisLoops:
 
     @property
     def have_begun(self) -> bool:
-        """Whether a sample has been controlled since the last restart."""
+        """True if a sample has been controlled since the last restart."""
         return self._start_ns is not None
 
     def change_setpoint(self, name: str, setpoint: Setpoint, is_running: bool) -> None:

@@ -47,13 +47,13 @@ class BoardSupervision:
         self._by_answer = {SDO_ANSWER + board.node_id: board for board in self._both}
         """Boards by the identifier of their SDO answers."""
         self._is_asking = False
-        """Whether a question to a board may still be unanswered."""
+        """True if a question to a board may still be unanswered."""
         self._started: set[str] = set()
         """Names of the boards that were sent an NMT start in this period. One start per period is enough."""
 
     @property
     def are_fit(self) -> bool:
-        """Whether both boards are operational and without error."""
+        """True if both boards are operational and without error."""
         return self.adc.is_fit and self.dac.is_fit
 
     def describe(self) -> str:

@@ -98,12 +98,12 @@ class BoardWatch:
 
     @property
     def is_up(self) -> bool:
-        """Whether the last heartbeat says operational and has not timed out."""
+        """True if the last heartbeat says operational and has not timed out."""
         return self.nmt_state == NmtState.OPERATIONAL
 
     @property
     def is_fit(self) -> bool:
-        """Whether the board is up, has no error, and is settled if it needed many starts."""
+        """True if the board is up, has no error, and is settled if it needed many starts."""
         return self.is_up and self.error is None and not self.starts.are_excessive
 
     def heartbeat(self, nmt_state: int, now_ns: int) -> Frame | None:

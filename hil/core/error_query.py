@@ -74,13 +74,13 @@ class ErrorQuery:
         self._asked_ns = 0
         self._register = ""
         self.is_begun = False
-        """Whether the board was asked since the last reset."""
+        """True if the board was asked since the last reset."""
         self.finding: str | None = None
         """What the board answered, in words; None before it has answered everything."""
 
     @property
     def is_waiting(self) -> bool:
-        """Whether an answer is awaited."""
+        """True if an answer is awaited."""
         return self._awaited is not None
 
     def reset(self) -> None:

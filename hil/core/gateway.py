@@ -100,7 +100,7 @@ class Gateway:
         self._state_at_deadline = LifeCycleState.OFFLINE
         self._next_heartbeat_number = 0
         self._has_sample = True
-        """Whether a good sample has arrived in the present period. True before the first period."""
+        """True if a good sample has arrived in the present period, and before the first period."""
         self._stale_periods = 0
         self._reported_phase = Phase.NONE
         self._disabled_checks = tuple(_disabled_checks(rig))
@@ -204,12 +204,12 @@ class Gateway:
 
     @property
     def is_jogging(self) -> bool:
-        """Whether an operator jogs an axis."""
+        """True if an operator jogs an axis."""
         return self._jogging.is_active
 
     @property
     def _is_controlling(self) -> bool:
-        """Whether the controllers act on the valves."""
+        """True if the controllers act on the valves."""
         return self._state.current is LifeCycleState.RUNNING and not self._jogging.is_active
 
     def _take_trigger(self, trigger: Trigger, now_ns: int) -> Output:

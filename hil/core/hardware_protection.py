@@ -64,11 +64,11 @@ class HardwareProtection:
         self.identifiers = frozenset({contact.identifier for contact in self._inputs} | read_back_ids)
         """Identifiers of the frames that :meth:`receive` takes."""
         self.is_used = bool(self.identifiers)
-        """Whether the rig file names any protection by hardware."""
+        """True if the rig file names any protection by hardware."""
         self._stop_was_closed = False
-        """Whether the emergency stop was closed at the last check."""
+        """True if the emergency stop was closed at the last check."""
         self._valves_followed = False
-        """Whether the valves followed their commands at the last check."""
+        """True if the valves followed their commands at the last check."""
 
     def obstacles(self, now_ns: int) -> list[str]:
         """Return why the gateway must not become ready, or nothing. Each text names its source."""

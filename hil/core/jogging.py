@@ -46,7 +46,7 @@ class Jogging:
 
     @property
     def is_active(self) -> bool:
-        """Whether an axis is jogged."""
+        """True if an axis is jogged."""
         return self._jog is not None and self._state.current is LifeCycleState.RUNNING
 
     def cancel(self) -> None:

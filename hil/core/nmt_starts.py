@@ -29,12 +29,12 @@ class NmtStarts:
 
     @property
     def are_ignored(self) -> bool:
-        """Whether so many starts were sent that the board must have a reason not to start."""
+        """True if so many starts were sent that the board must have a reason not to start."""
         return self.sent >= IMMEDIATE_STARTS
 
     @property
     def are_excessive(self) -> bool:
-        """Whether the board needed many starts or left operational often, and must settle to count as fit."""
+        """True if the board needed many starts or left operational often, and must settle to count as fit."""
         return self.sent > IMMEDIATE_STARTS or self._departures >= IMMEDIATE_STARTS
 
     def operational(self, now_ns: int) -> None:

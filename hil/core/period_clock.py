@@ -37,5 +37,5 @@ class PeriodClock:
 
     @property
     def is_very_late(self) -> bool:
-        """Whether the present period began more than half a period after its deadline."""
+        """True if the present period began more than half a period after its deadline."""
         return self.wake_ns - self.deadline_ns > self.period_ns // 2

@@ -114,7 +114,7 @@ class SampleGuard:
 
     @property
     def suspects_second_sender(self) -> bool:
-        """Whether more answers than SYNCs came lately, so that a second node may send samples too."""
+        """True if more answers than SYNCs came lately, so that a second node may send samples too."""
         return self._surplus.is_suspected
 
     def check_strictly(self, data: bytes, now_ns: int) -> Verdict:

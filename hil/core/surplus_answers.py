@@ -26,7 +26,7 @@ class SurplusAnswers:
 
     @property
     def is_suspected(self) -> bool:
-        """Whether surplus answers came lately."""
+        """True if surplus answers came lately."""
         return self._periods > 0
 
     def begin_period(self) -> None:

@@ -217,7 +217,7 @@ class SyncMatcher:
 
     @property
     def _knows_number_of_answers(self) -> bool:
-        """Whether no more answers can come than SYNCs are outstanding.
+        """True if no more answers can come than SYNCs are outstanding.
 
         Without a counter nothing shows how many answers came. While SEARCHING or RESYNCHRONISING, answers to
         SYNCs that were given up may still arrive.
@@ -226,7 +226,7 @@ class SyncMatcher:
 
     @property
     def _is_waiting(self) -> bool:
-        """Whether SYNC has to wait for an answer (rules 3 and 4)."""
+        """True if SYNC has to wait for an answer (rules 3 and 4)."""
         if self.state is _MATCHED:
             return False
         return self.state is _BEHIND or len(self._outstanding) > 0

@@ -27,7 +27,7 @@ class WatchedInput:
         self._closed_ns: int | None = None
         """Time of the last frame that proved a closed contact; None after one that showed it open."""
         self._has_opened = False
-        """Whether the last undamaged frame showed an open contact."""
+        """True if the last undamaged frame showed an open contact."""
         self._rejection = ""
         """Why the last frame was rejected; empty after a good one."""
 

@@ -34,7 +34,7 @@ class Port(Protocol):
     """An open bus."""
 
     holds_messages: bool
-    """Whether messages may wait inside this object, so that ``select`` does not see them."""
+    """True if messages may wait inside this object, so that ``select`` does not see them."""
 
     @property
     def refused(self) -> int:

@@ -1,4 +1,4 @@
-"""Whether real boards may be on a bus."""
+"""Distinguish a bus with possibly real boards from a simulated one."""
 
 from __future__ import annotations
 

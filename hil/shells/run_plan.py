@@ -51,7 +51,7 @@ class Plan(ABC):
 
     @property
     def is_over(self) -> bool:
-        """Whether the last centring command has been sent."""
+        """True if the last centring command has been sent."""
         return self._remaining_periods == 0
 
     def end(self, ending: Ending) -> None:

@@ -86,7 +86,7 @@ class VcanGateway:
 
     @property
     def was_started(self) -> bool:
-        """Whether :meth:`start` was called."""
+        """True if :meth:`start` was called."""
         return self._process is not None
 
     def start(self, duration_s: float = 3600.0) -> subprocess.Popen[bytes]:

@@ -65,7 +65,7 @@ class Axis(msgspec.Struct, frozen=True):
     valve_v: float | None
     """Voltage of the last valve command on the bus."""
     is_in_range: bool
-    """Whether the potentiometer's voltage is within its limits in the rig file."""
+    """True if the potentiometer's voltage is within its limits in the rig file."""
 
 
 class Gateway(msgspec.Struct, frozen=True):
