@@ -22,7 +22,8 @@ test: .venv/for-test test-packages
 	$(BIN)/python -m pytest -q -n 2 --cov --cov-report=term:skip-covered tests/unit
 	$(BIN)/python -m pytest -q -n 2 tests/property
 	$(BIN)/hil vcan -- $(BIN)/python -m pytest -q tests/vcan
-	$(BIN)/python -m pytest -q tests/acceptance
+	$(BIN)/python -m pytest -q -n 2 -m "not real_time" tests/acceptance
+	$(BIN)/python -m pytest -q -m real_time tests/acceptance
 	$(MAKE) test-examples
 
 # Users' tests run where only the wheel is installed. Its dependencies are those of .venv: a .pth file makes

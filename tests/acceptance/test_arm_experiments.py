@@ -178,6 +178,7 @@ def test_a_run_is_repeated_from_its_recording(tmp_path: Path) -> None:
     assert first.metadata["run"]["configuration sha256"] != other.metadata["run"]["configuration sha256"]
 
 
+@pytest.mark.real_time
 def test_an_event_reaches_the_boards_in_their_own_process(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -282,6 +283,7 @@ def test_a_run_on_a_plant_file_is_reproducible_and_repeated_from_its_recording(
     assert not np.array_equal(first.axis("vertical")["position"], without.axis("vertical")["position"])
 
 
+@pytest.mark.real_time
 def test_a_plant_file_reaches_the_boards_in_their_own_process(tmp_path: Path, plant_json: Path) -> None:
     path = tmp_path / "run.mcap"
     arguments = ["run", "--record", str(path), "--duration", "2", "--plant", f"vertical={plant_json}"]

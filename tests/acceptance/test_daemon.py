@@ -27,6 +27,8 @@ from hil.recording.entries import FrameSent
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture
 def rig(tmp_path: Path) -> str:

@@ -51,6 +51,7 @@ def test_faults_of_a_scenario_file_act(tmp_path: Path) -> None:
     assert "unplug@vertical>0.05/0.5" in recording.metadata[FAULTS_BEGUN].values()
 
 
+@pytest.mark.real_time
 def test_the_same_fault_stops_a_run_in_real_time(tmp_path: Path) -> None:
     recording = run(tmp_path / "run.mcap", "--fault", "unplug@vertical>0.05")
     assert "no good sample for 5 periods" in recording.metadata["ending"]["fault"]

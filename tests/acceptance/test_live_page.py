@@ -19,6 +19,8 @@ import hil
 from hil.cli import main
 from hil.live.history import COLUMNS
 
+pytestmark = pytest.mark.real_time
+
 HIL = [sys.executable, "-m", "hil.cli"]
 PHONE = {"width": 390, "height": 844}
 LAPTOP = {"width": 1366, "height": 900}

@@ -28,6 +28,8 @@ from hil.core.wire import codec
 from hil.links import Link, open_link
 from hil.recording.reader import Recording
 
+pytestmark = pytest.mark.real_time
+
 TIMEOUT_S = 20.0
 
 

@@ -19,6 +19,8 @@ from hil.recording.reader import Recording
 from hil.shells.replay import verify
 from hil.views.summary import StepResponse, summarise
 
+pytestmark = pytest.mark.real_time
+
 HIL = [sys.executable, "-m", "hil.cli"]
 
 
