@@ -53,6 +53,13 @@ class ValveCommands:
         """Set every command to its valve's centre voltage, at once."""
         self.volts = list(self._centres_v)
 
+    def centre_others(self, index: int) -> None:
+        """Set every command but that of valve ``index`` to its valve's centre voltage, at once."""
+        self.volts = [
+            v if i == index else centre
+            for i, (v, centre) in enumerate(zip(self.volts, self._centres_v, strict=True))
+        ]
+
     def set_change_time(self, elapsed_s: float) -> None:
         """Set the time for which the rate limits allow the next commands to change.
 

@@ -508,6 +508,17 @@ class TestJogs:
             gateway.period([5.0, volts, 5.0])
         assert gateway.state is LifeCycleState.RUNNING
 
+    def test_other_valves_are_centred_although_the_bus_refused_the_stop(self) -> None:
+        gateway = make_stepped(LifeCycleState.RUNNING)
+        gateway.periods(5)
+        assert CENTRED not in gateway.transcript.commands()[-2:]
+        gateway.core.command_refused(gateway.operate(Trigger.STOP).frames[-1])
+        assert ask(gateway, self.JOG).accepted
+        before = len(gateway.transcript.commands())
+        gateway.periods(3)
+        jogged = (pytest.approx(5.5, abs=1e-3), *CENTRED[1:])
+        assert gateway.transcript.commands()[before:] == [jogged] * 3
+
     def test_a_stop_ends_it(self) -> None:
         gateway = make_stepped(LifeCycleState.ARMED)
         gateway.operate(self.JOG)
