@@ -303,6 +303,11 @@ class AxisLoops:
         """Return the frame with the limited commands of all axes."""
         return self._valves.frame()
 
+    @property
+    def are_centred(self) -> bool:
+        """True if the last command that the bus took centres every valve."""
+        return self._valves.are_centred
+
     def centre(self) -> Frame:
         """Centre every valve at once, and return the frame that does so."""
         self._valves.centre()

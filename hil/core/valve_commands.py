@@ -49,6 +49,11 @@ class ValveCommands:
         """Return the present command of valve ``index`` relative to its centre voltage, in volts."""
         return self.volts[index] - self._centres_v[index]
 
+    @property
+    def are_centred(self) -> bool:
+        """True if the last command that the bus took centres every valve."""
+        return tuple(self.volts) == self._centres_v
+
     def centre(self) -> None:
         """Set every command to its valve's centre voltage, at once."""
         self.volts = list(self._centres_v)
