@@ -281,8 +281,9 @@ class AxisLoops:
         t = (deadline_ns - self._start_ns) / 1e9
         self._valves.set_change_time(self._elapsed_s(now_ns))
         self._last_command_ns = now_ns
-        self.observe(volts)
         place = self._places[motion.axis]
+        self._valves.centre_others(place)  # The bus may have refused the command that centred them.
+        self.observe(volts)
         axis, y = self._axes[place], self._axes[place].signals.position
         if is_first:
             axis.envelope.begin()
@@ -301,6 +302,11 @@ class AxisLoops:
     def command(self) -> Frame:
         """Return the frame with the limited commands of all axes."""
         return self._valves.frame()
+
+    @property
+    def are_centred(self) -> bool:
+        """True if the last command that the bus took centres every valve."""
+        return self._valves.are_centred
 
     def centre(self) -> Frame:
         """Centre every valve at once, and return the frame that does so."""

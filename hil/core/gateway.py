@@ -5,14 +5,15 @@ The core opens no socket, reads no clock, starts no thread and writes no file. T
     on_deadline -> SYNC     ADC samples     receive(TPDO1) -> sample guard -> control laws -> limits -> RPDO1
 
 In state running, a command leaves only in answer to a good sample of the same period. In every other state, a
-command leaves in every period and centres the valves.
+command leaves in every period and centres the valves. It leaves after SYNC. If the valves are not centred
+yet, it leaves before SYNC, and SYNC is never withheld then: a board that applies commands at SYNC would hold
+the old command for at least one more period.
 
 A missing or rejected sample sends nothing: the board holds its last command. After
 ``adc.stale_after_periods`` such periods the gateway faults. In some periods the sample guard sends no SYNC,
 to find out whether samples are late.
 
-A fault centres the valves at once. If it is found at a deadline, its command leaves before SYNC, so that a
-board that applies commands at SYNC does not hold the old command for one more period.
+A fault centres the valves at once. If it is found at a deadline, its command leaves before SYNC too.
 """
 
 from __future__ import annotations
@@ -156,9 +157,13 @@ class Gateway:
         jog_ended = self._jogging.begin_period(now_ns)
         self._clock.begin_period(now_ns, skipped)
         self._has_sample = False
-        return combine(
-            ended, timeouts, jog_ended, self._sync(now_ns), self._heartbeat(), self._centre_unless_running()
-        )
+        if self._state.current is LifeCycleState.RUNNING:
+            return combine(ended, timeouts, jog_ended, self._sync(now_ns, True), self._heartbeat())
+        if self._loops.are_centred:
+            sync = self._sync(now_ns, True)
+            return combine(ended, timeouts, jog_ended, sync, self._heartbeat(), self._centre())
+        centred = self._centre()
+        return combine(ended, timeouts, jog_ended, centred, self._sync(now_ns, False), self._heartbeat())
 
     def receive(self, frame: Frame, now_ns: int) -> Output:
         """Take a frame from the bus."""
@@ -302,10 +307,10 @@ class Gateway:
         )
         return self._state.lose("adc", reason)
 
-    def _sync(self, now_ns: int) -> Output:
+    def _sync(self, now_ns: int, may_wait: bool) -> Output:
         state = self._state.current
         # A change of state, and a fault, centre the valves. The command must not wait for a later SYNC.
-        may_wait = state is self._state_at_deadline and state is not LifeCycleState.FAULT
+        may_wait = may_wait and state is self._state_at_deadline and state is not LifeCycleState.FAULT
         self._state_at_deadline = state
         if may_wait and self._clock.is_very_late:
             return self._omit_sync_when_late(now_ns)
@@ -333,9 +338,6 @@ class Gateway:
             return NOTHING
         self._next_heartbeat_number = self._clock.number + self._heartbeat_periods
         return _HEARTBEAT
-
-    def _centre_unless_running(self) -> Output:
-        return NOTHING if self._state.current is LifeCycleState.RUNNING else self._centre()
 
     def _centre(self) -> Output:
         return Output((self._loops.centre(),))

@@ -49,9 +49,21 @@ class ValveCommands:
         """Return the present command of valve ``index`` relative to its centre voltage, in volts."""
         return self.volts[index] - self._centres_v[index]
 
+    @property
+    def are_centred(self) -> bool:
+        """True if the last command that the bus took centres every valve."""
+        return tuple(self.volts) == self._centres_v
+
     def centre(self) -> None:
         """Set every command to its valve's centre voltage, at once."""
         self.volts = list(self._centres_v)
+
+    def centre_others(self, index: int) -> None:
+        """Set every command but that of valve ``index`` to its valve's centre voltage, at once."""
+        self.volts = [
+            v if i == index else centre
+            for i, (v, centre) in enumerate(zip(self.volts, self._centres_v, strict=True))
+        ]
 
     def set_change_time(self, elapsed_s: float) -> None:
         """Set the time for which the rate limits allow the next commands to change.

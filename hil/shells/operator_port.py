@@ -176,6 +176,11 @@ class OperatorPort:
         return bool(replies)
 
     def _operate(self, session: Session, asked: Asked) -> Reply:
+        if session.plan.ending is not None:
+            # A start or a jog now would move a valve after the last commands that centre it.
+            reply = Reply(False, "refused: the daemon is ending, with centred valves")
+            session.note(LogEntry(Severity.WARNING, "operator", f"{asked.asked_by}: {reply.text}"))
+            return reply
         request = _core_request(asked.call)
         if request is not None:
             return session.operate(request, asked.asked_by, asked.prepared)

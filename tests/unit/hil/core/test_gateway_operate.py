@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 from support.constants import CENTRED, PERIOD_S
-from support.gateway_bench import RigBench, SteppedGateway, commands, make_rig, make_stepped, texts
+from support.gateway_bench import SYNC, RigBench, SteppedGateway, commands, make_rig, make_stepped, texts
 
 from hil.core.control_law import ControlLaw
 from hil.core.controller_change import PreparedController, prepare_controller
@@ -91,6 +91,21 @@ class TestTriggers:
         gateway = make_stepped()
         assert gateway.deadline().reply is None
         assert gateway.sample().reply is None
+
+
+def test_a_stop_that_the_bus_refused_is_repeated_before_sync() -> None:
+    gateway = make_stepped(LifeCycleState.RUNNING)
+    gateway.periods(5)
+    gateway.core.command_refused(gateway.operate(Trigger.STOP).frames[-1])
+    for _ in range(2):
+        late = gateway.deadline(late_ns=7_000_000)
+        assert late.frames[0].id == codec.RPDO1_DAC
+        assert commands(late) == [CENTRED]
+        assert late.frames[1] == SYNC
+        gateway.core.command_refused(late.frames[0])
+        gateway.sample()
+    assert gateway.deadline().frames[1] == SYNC
+    assert gateway.deadline().frames[0] == SYNC
 
 
 class TestUnknownAxes:
@@ -507,6 +522,28 @@ class TestJogs:
         for volts in (5.0, 5.1, 5.2, 5.3, 8.0):
             gateway.period([5.0, volts, 5.0])
         assert gateway.state is LifeCycleState.RUNNING
+
+    def test_other_valves_are_centred_although_the_bus_refused_the_stop(self) -> None:
+        gateway = make_stepped(LifeCycleState.RUNNING)
+        gateway.periods(5)
+        assert CENTRED not in gateway.transcript.commands()[-2:]
+        gateway.core.command_refused(gateway.operate(Trigger.STOP).frames[-1])
+        assert ask(gateway, self.JOG).accepted
+        before = len(gateway.transcript.commands())
+        gateway.periods(3)
+        jogged = (pytest.approx(5.5, abs=1e-3), *CENTRED[1:])
+        assert gateway.transcript.commands()[before:] == [jogged] * 3
+
+    def test_its_end_centres_the_valve_before_sync_so_that_no_later_sync_is_needed(self) -> None:
+        gateway = make_stepped(LifeCycleState.ARMED)
+        gateway.operate(JogRequest("vertical", 0.5, 0.05))
+        gateway.periods(4)
+        ended = gateway.deadline()
+        assert gateway.state is LifeCycleState.ARMED
+        assert commands(ended) == [CENTRED]
+        assert ended.frames[0].id == codec.RPDO1_DAC
+        assert ended.frames[1] == SYNC
+        assert SYNC not in gateway.deadline(late_ns=7_000_000).frames
 
     def test_a_stop_ends_it(self) -> None:
         gateway = make_stepped(LifeCycleState.ARMED)

@@ -10,6 +10,7 @@ import msgspec
 import pytest
 from support.operated_runs import OperatedRun
 
+from hil.core.life_cycle import LifeCycleState
 from hil.core.output import LogEntry, Severity
 from hil.core.requests import Reply
 from hil.operation.pipe import Asked, FromLoop, Logged, Replied, StatusNow, pipe
@@ -37,6 +38,7 @@ from hil.shells.operator_port import (
     Described,
     OperatorPort,
 )
+from hil.shells.run_plan import CENTRING_PERIODS, Ending
 from hil.shells.run_setup import SHIPPED_CONTROLLERS
 
 WHO = "alice (hil, process 7)"
@@ -124,6 +126,25 @@ def test_requests_reach_the_core_with_who_asked(bench: PortBench) -> None:
         assert reply.number == bench.number
         assert (reply.accepted, bool(reply.text)) == (is_accepted, True), reply
     assert texts(bench, "operator")[:2] == [f"{WHO} asks: start", f"{WHO} asks: arm"]
+
+
+def test_nothing_moves_any_more_while_the_daemon_ends(bench: PortBench) -> None:
+    assert bench.reply_to(SetpointCall(axis="vertical", setpoint="0.1")).accepted
+    for call in (ArmCall(), StartCall()):
+        assert bench.reply_to(call).accepted
+    bench.period(20)
+    assert bench.run.shown.cycles[-1].axes[0].command_v != 5.0
+    bench.run.plan.end(Ending.INTERRUPTED)
+    jog = JogCall(axis="vertical", offset_v=1.0, duration_s=0.3)
+    for number in range(CENTRING_PERIODS):
+        bench.ask(StartCall() if number % 2 else jog)
+        bench.period()
+        assert bench.run.gateway.state is LifeCycleState.ARMED
+        assert {axis.command_v for axis in bench.run.shown.cycles[-1].axes} == {5.0}
+    assert bench.run.plan.is_over
+    assert {(reply.accepted, reply.text) for reply in bench.replies()} == {
+        (False, "refused: the daemon is ending, with centred valves")
+    }
 
 
 def test_other_requests_are_the_daemons(bench: PortBench) -> None:
