@@ -38,8 +38,8 @@ def missing_rights(rig: Rig, bus: str, rights: Rights) -> tuple[CheckFailure, ..
     return tuple(
         CheckFailure(
             right.name.replace(" ", "-"),
-            f"this machine refuses the loop the right {right.name} ({right.detail}), which the rig requires "
-            f"(rig: loop.required_rights); {rights_advice(right) or 'see `hil doctor`'}",
+            f"this machine refuses this right to the loop: {right.detail}; the rig requires it (rig: "
+            f"loop.required_rights): {rights_advice(right) or 'see `hil doctor`'}",
         )
         for right in rights
         if right.name in required and not right.is_granted
