@@ -64,6 +64,14 @@ def parser() -> CommandParser:
     where.add_argument("--lockstep", action="store_true", help="the simulated arm, in simulated time")
     command.add_argument("--out", type=Path, metavar="DIR", help="results (default tuning/AXIS)")
     command.add_argument("--yes", action="store_true", help="do not ask before the axis moves")
+    command.add_argument(
+        "--override",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="CHECK",
+        help="arm although this check fails; the refusal names it",
+    )
     return command
 
 
@@ -169,6 +177,7 @@ def _job(options: argparse.Namespace) -> Job:
         design=options.design,
         step=options.step,
         controller=options.controller,
+        overrides=options.override,
         digests={
             name: hashlib.sha256(Path(name).read_bytes()).hexdigest()
             for name in (options.rig, options.controller, options.design)

@@ -109,6 +109,7 @@ def _position(recording: Recording, axis: str, place: int) -> float:
 def _where(job: Job, condition: Condition) -> list[str]:
     """Return the options that choose rig and bus."""
     rig = [] if job.rig is None else ["--rig", job.rig]
+    rig += ["--override", *job.overrides] if job.overrides else []
     if job.bus is None:
         return [*rig, "--lockstep", *(part for event in condition.events for part in ("--event", event))]
     return [*rig, "--bus", job.bus]

@@ -72,6 +72,8 @@ class Job(Document, frozen=True):
     controller: str | None = None
     digests: dict[str, str] = msgspec.field(default_factory=dict)
     """SHA-256 of the rig, controller and design file: a folder is resumed with the same contents only."""
+    overrides: list[str] = msgspec.field(default_factory=list)
+    """Checks of the gateway that do not keep it from arming. They are no part of what is tuned."""
 
 
 @dataclass(frozen=True)

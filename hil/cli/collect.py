@@ -22,7 +22,7 @@ from firmware_sim.simulated_plant import plant_texts
 from hil.cli.axis_values import by_axis
 from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.record_path import create_folder_of, recording_path
-from hil.cli.run import chosen_bus, duration_argument
+from hil.cli.run import add_override_option, chosen_bus, duration_argument
 from hil.cli.run_parts import SIMULATED
 from hil.core.documents import to_json
 from hil.core.errors import DocumentError, HilError
@@ -146,6 +146,7 @@ def parser() -> CommandParser:
     )
     command.add_argument("--dry-run", action="store_true", help="show spectrum and predicted travel, and end")
     command.add_argument("--yes", action="store_true", help="do not ask before a real axis moves")
+    add_override_option(command)
     add_plant_options(command)
     return command
 
@@ -325,7 +326,8 @@ def _record(
     if bus == SIMULATED:
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
     nominal_s = experiment.duration_s(setup.rig.loop.period_s)
-    plan = RunPlan(MAX_PAUSE_FACTOR * nominal_s, setup.rig.loop.period_s)
+    limit_s = MAX_PAUSE_FACTOR * nominal_s
+    plan = RunPlan(limit_s, setup.rig.loop.period_s, overrides=options.override)
     path = recording_path(options.output, nominal_s, has_figure=False)
     create_folder_of(path)
     if options.lockstep:

@@ -36,6 +36,7 @@ from hil.recording.recorder import Recorder
 from hil.shells.bus_guard import refuse_other_gateway
 from hil.shells.observers import Observers
 from hil.shells.operator_port import Described, OperatorPort
+from hil.shells.preflight import missing_rights
 from hil.shells.realtime import run
 from hil.shells.recordings import Recordings, RotationLimits
 from hil.shells.run_plan import Ending, OperatorPlan
@@ -72,15 +73,17 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         log = LogLines()
         stack.callback(log.close)
         facts = Facts(__version__, bus, setup.texts[RIG_NAME], None if events is None else EVENT_CHECK)
-        port = OperatorPort(
-            stack.enter_context(socket_process(listener, facts)),
-            _described(setup, bus, epoch_offset_ns),
-            daemon_actions(stop, events, unseen_events(setup.rig)),
-            lambda: None if recordings is None or recordings.path is None else str(recordings.path),
-            time.monotonic_ns,
-        )
+        pipe = stack.enter_context(socket_process(listener, facts))
         plan = OperatorPlan()
         with real_time_rights(setup.rig.loop.poll_before_deadline_s) as rights:
+            port = OperatorPort(
+                pipe,
+                _described(setup, bus, epoch_offset_ns),
+                daemon_actions(stop, events, unseen_events(setup.rig)),
+                lambda: None if recordings is None or recordings.path is None else str(recordings.path),
+                time.monotonic_ns,
+                missing_rights(setup.rig, bus, rights),
+            )
             session = Session(
                 setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns),
                 plan,

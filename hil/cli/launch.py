@@ -43,6 +43,7 @@ def run_realtime(
     from hil.links import open_link
     from hil.shells.bus_guard import refuse_other_gateway
     from hil.shells.observers import Observers
+    from hil.shells.preflight import missing_rights
     from hil.shells.realtime import run
     from hil.views.live_display import LiveDisplay
 
@@ -72,6 +73,7 @@ def run_realtime(
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, observer, most_refused)
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
+            plan.take_failures(missing_rights(setup.rig, bus, rights))
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
             _announce(session, setup, plan.duration_s, planned)

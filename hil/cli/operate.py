@@ -211,6 +211,12 @@ def _add_event_arguments(parser: CommandParser) -> None:
     parser.add_argument("event", metavar="EVENT", help="such as payload:3 or stuck-spool:vertical")
 
 
+def _add_arm_arguments(parser: CommandParser) -> None:
+    parser.add_argument(
+        "--override", nargs="+", default=[], metavar="CHECK", help="arm although this check fails"
+    )
+
+
 def _add_record_arguments(parser: CommandParser) -> None:
     parser.add_argument(
         "what", choices=("new", "stop"), help="new: close the recording and begin another; stop: close it"
@@ -221,10 +227,15 @@ def _record(client: Client, options: argparse.Namespace) -> str:
     return client.record_new() if options.what == "new" else client.record_stop()
 
 
-ARM = _simple(
+ARM = OperatorCommand(
     "arm",
-    "Allow motion: the daemon goes from ready to armed. The valves stay centred until `hil start`.",
-    Client.arm,
+    "Allow motion: the daemon goes from ready to armed. The valves stay centred until `hil start`. The "
+    "daemon refuses if a check fails: a right that the rig requires of this machine, a position outside the "
+    "envelope, or a controller whose loop is unstable. The refusal names each failed check.",
+    _add_arm_arguments,
+    lambda client, options: client.arm(options.override),
+    "An override holds until the next disarm or fault. It is logged as a warning, shown by `hil status`, and "
+    "recorded with who gave it.",
 )
 DISARM = _simple("disarm", "Forbid motion: the daemon goes from armed to ready.", Client.disarm)
 START = _simple(

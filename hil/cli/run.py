@@ -99,6 +99,7 @@ def parser() -> CommandParser:
     command.add_argument(
         "--yes", action="store_true", help="do not ask before the axes of a bus that may be real move"
     )
+    add_override_option(command)
     command.add_argument("--no-plot", action="store_true", help="draw no plot beside the recording")
     add_plant_options(command)
     add_page_options(command)
@@ -126,7 +127,7 @@ def main(argv: list[str]) -> int:
     if is_real(bus) and not options.yes:
         confirm_motion(setup, bus)
     duration_s = options.duration or (scenario.duration_s if scenario else DEFAULT_DURATION_S)
-    plan = RunPlan(duration_s, setup.rig.loop.period_s)
+    plan = RunPlan(duration_s, setup.rig.loop.period_s, overrides=options.override)
     report = _recorded_run(setup, plan, bus, duration_s, options)
     from hil.cli.run_report import print_run_report
 
@@ -154,6 +155,18 @@ def _recorded_run(
 
 def _exit_status(ending: Ending | None, report: RecorderReport) -> int:
     return 0 if ending in (Ending.COMPLETED, Ending.INTERRUPTED) and not report.failure else 1
+
+
+def add_override_option(command: argparse.ArgumentParser) -> None:
+    """Add ``--override``."""
+    command.add_argument(
+        "--override",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="CHECK",
+        help="arm although this check fails; the refusal names it",
+    )
 
 
 def chosen_bus(options: argparse.Namespace, setup: RunSetup) -> str:

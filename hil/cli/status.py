@@ -120,6 +120,10 @@ def status_lines(status: Status) -> list[str]:
             f"{axis.unit:3}  valve {command:>5} V"
         )
     lines.append(f"{'record':8}  {status.recording or 'nothing is recorded'}")
+    if status.overridden_checks:
+        lines.append(
+            f"{'override':8}  armed although these checks fail: {', '.join(status.overridden_checks)}"
+        )
     if status.state == "offline":
         lines.append(f"{'boards':8}  {status.readiness}")
     if status.fault:

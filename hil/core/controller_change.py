@@ -34,6 +34,11 @@ class PreparedController(NamedTuple):
     """True if the closed loop with the plant of the file is known to be stable."""
 
 
+def delay_periods(rig: Rig) -> int:
+    """Return the periods from a command to its effect: the rig's own transport delay."""
+    return 1 if rig.dac.apply == "at sync" else 0
+
+
 def digest_of(request: ControllerRequest, rig: Rig) -> str:
     """Return the digest of a request and of what of ``rig`` its controller is checked against."""
     unit = rig.axes[request.axis].unit
@@ -55,8 +60,7 @@ def prepare_controller(request: ControllerRequest, rig: Rig) -> PreparedControll
         controller = read_controller(request.document, request.name)
         check_controller_fits(controller, request.name, rig.loop.period_s, axis.unit)
         check_law_runs(controller.law, controller.sample_time_s, request.name)
-        delay_periods = 1 if rig.dac.apply == "at sync" else 0
-        is_checked = check_closed_loop(controller, request.name, delay_periods)
+        is_checked = check_closed_loop(controller, request.name, delay_periods(rig))
     except DocumentError as error:
         return PreparedController(digest, str(error), None, False)
     numbers = law_numbers(controller.law, controller.sample_time_s)

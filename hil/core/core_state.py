@@ -36,6 +36,7 @@ import types
 from collections import deque
 from collections.abc import Iterator
 from enum import Enum
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -46,6 +47,8 @@ from hil.core.errors import DocumentError
 _PACKAGE = "hil.core."
 _LEFT_OUT = (msgspec.Struct, types.FunctionType, types.MethodType, types.BuiltinFunctionType)
 """Types of values that are in every core that was built from the same documents."""
+_PLAIN = frozenset({type(None), bool, int, str})
+"""Types of values that are written as they are."""
 _MISSING = object()
 
 
@@ -77,15 +80,15 @@ class _Writer:
         self._kept: list[object] = []
 
     def write(self, value: Any) -> Any:
-        kind = type(value)
-        if value is None or kind in (bool, int, str):
+        kind: Any = type(value)
+        if kind in _PLAIN:
             return value
         if kind is float:
             return value if math.isfinite(value) else {"float": repr(value)}
-        if kind is list:
-            return [self.write(item) for item in value]
         if kind is tuple:
             return {"tuple": [self.write(item) for item in value]}
+        if kind is list:
+            return [self.write(item) for item in value]
         if isinstance(value, Enum):
             return {"enum": _name_of(kind), "name": value.name}
         if isinstance(value, tuple):
@@ -111,8 +114,12 @@ class _Writer:
             raise TypeError(f"{name}: a document or method in a list, tuple or dict cannot be left out")
         number = self._ids[id(value)] = len(self._ids)
         self._kept.append(value)
+        write = self.write
         attributes = {
-            key: self.write(item) for key, item in _attributes(value) if not isinstance(item, _LEFT_OUT)
+            # Most attributes are plain, and a call for each of them takes time from the loop.
+            key: item if type(item) in _PLAIN else write(item)
+            for key, item in _attributes(value)
+            if not isinstance(item, _LEFT_OUT)
         }
         return {"class": name, "id": number, "attributes": attributes}
 
@@ -173,14 +180,22 @@ class _Reader:
         return target
 
 
-def _attributes(value: object) -> Iterator[tuple[str, Any]]:
-    """Yield the names and values of all attributes that an object has."""
-    for kind in type(value).__mro__:
-        for name in getattr(kind, "__slots__", ()):
-            item = getattr(value, name, _MISSING)
-            if item is not _MISSING:
-                yield name, item
-    yield from getattr(value, "__dict__", {}).items()
+def _attributes(value: object) -> list[tuple[str, Any]]:
+    """Return the names and values of all attributes that an object has."""
+    found = []
+    kind: Any = type(value)
+    for name in _slots(kind):
+        item = getattr(value, name, _MISSING)
+        if item is not _MISSING:
+            found.append((name, item))
+    found.extend(getattr(value, "__dict__", {}).items())
+    return found
+
+
+@cache
+def _slots(kind: Any) -> tuple[str, ...]:
+    """Return the names of a class' slots, with those of its bases."""
+    return tuple(name for base in kind.__mro__ for name in getattr(base, "__slots__", ()))
 
 
 def _at(container: Any, place: Any) -> Any:
@@ -191,7 +206,8 @@ def _at(container: Any, place: Any) -> Any:
         return None
 
 
-def _name_of(kind: type) -> str:
+@cache
+def _name_of(kind: Any) -> str:
     name = f"{kind.__module__}.{kind.__qualname__}"
     if not name.startswith(_PACKAGE):
         raise TypeError(f"an object of the class {name} cannot be written into the state of a core")

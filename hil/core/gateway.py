@@ -18,8 +18,9 @@ A fault centres the valves at once. If it is found at a deadline, its command le
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
+from hil.core.arming import Arming
 from hil.core.axis_loops import AxisLoops, LoopFailure
 from hil.core.board_supervision import BoardSupervision
 from hil.core.board_watch import NmtState
@@ -39,7 +40,7 @@ from hil.core.output import NOTHING, Cycle, LogEntry, LogThrottle, Output, Sever
 from hil.core.period_clock import PeriodClock
 from hil.core.phase import Phase
 from hil.core.rejections import Rejections
-from hil.core.requests import ControllerRequest, JogRequest, Reply, Request, SetpointRequest
+from hil.core.requests import ArmRequest, ControllerRequest, JogRequest, Reply, Request, SetpointRequest
 from hil.core.rig import Rig
 from hil.core.sample_guard import Accepted, Rejected, RejectionSeverity, SampleGuard
 from hil.core.setpoints import Setpoint
@@ -65,8 +66,12 @@ class Gateway:
         setpoints: Mapping[str, Setpoint],
         first_deadline_ns: int,
         experiment: Experiment | None = None,
+        controller_failures: Mapping[str, str] | None = None,
     ) -> None:
-        """``experiment`` excites one axis in state running, in place of its setpoint."""
+        """``experiment`` excites one axis in state running, in place of its setpoint.
+
+        ``controller_failures`` says, by axis name, why a controller must not run. Arming is then refused.
+        """
         self._stale_limit = rig.adc.stale_after_periods
         self._heartbeat_periods = rig.heartbeat_periods
         self._clock = PeriodClock(rig.loop.period_ns, first_deadline_ns)
@@ -93,6 +98,7 @@ class Gateway:
             enable_problem=self._protection.enable_problem,
         )
         self._requests = OperatorRequests(rig, self._loops)
+        self._arming = Arming(rig, self._loops, self._state, controller_failures or {})
         self._foreign_frames = ForeignFrames()
         self.error_frames = 0
         """Number of error frames of the bus, without those that caused a fault."""
@@ -104,8 +110,6 @@ class Gateway:
         """True if a good sample has arrived in the present period, and before the first period."""
         self._stale_periods = 0
         self._reported_phase = Phase.NONE
-        self._disabled_checks = tuple(_disabled_checks(rig))
-        """Warnings of every start."""
 
     @property
     def state(self) -> LifeCycleState:
@@ -199,13 +203,27 @@ class Gateway:
     def _take_request(self, request: Request, now_ns: int, prepared: PreparedController | None) -> Output:
         match request:
             case SetpointRequest() | ControllerRequest():
-                return self._requests.change(request, self._is_controlling, prepared)
+                return self._change(request, prepared)
             case JogRequest():
                 return self._requests.refuse(request) or self._jogging.take(request, now_ns)
         before = self._state.current
         output = self._take_trigger(request, now_ns)
         text = "; ".join(entry.text for entry in output.log)
         return output._replace(reply=Reply(self._state.current is not before, text))
+
+    def _change(
+        self, request: SetpointRequest | ControllerRequest, prepared: PreparedController | None
+    ) -> Output:
+        output = self._requests.change(request, self._is_controlling, prepared)
+        is_accepted = output.reply is not None and output.reply.accepted
+        if is_accepted and isinstance(request, ControllerRequest):
+            self._arming.controller_changed(request.axis)
+        return output
+
+    @property
+    def overridden_checks(self) -> tuple[str, ...]:
+        """Names of the failed checks that an operator has overridden; empty unless armed or running."""
+        return self._arming.overridden
 
     @property
     def is_jogging(self) -> bool:
@@ -217,17 +235,19 @@ class Gateway:
         """True if the controllers act on the valves."""
         return self._state.current is LifeCycleState.RUNNING and not self._jogging.is_active
 
-    def _take_trigger(self, trigger: Trigger, now_ns: int) -> Output:
+    def _take_trigger(self, request: Trigger | ArmRequest, now_ns: int) -> Output:
         """Take an operator's trigger (arm, start, stop, disarm, reset), or refuse it in the present state."""
+        trigger = Trigger.ARM if isinstance(request, ArmRequest) else request
         if trigger not in OPERATOR_TRIGGERS or not self._state.allows(trigger):
             return self._state.refuse(trigger, self._describe(now_ns))
         if trigger is Trigger.START:
             return self._start(now_ns)
+        if trigger is Trigger.ARM:
+            return self._arming.arm(request if isinstance(request, ArmRequest) else ArmRequest())
         if trigger is Trigger.STOP and self._jogging.is_active:
             self._jogging.await_release(now_ns)
         changed = self._state.enter(trigger)
-        if trigger is not Trigger.ARM:
-            self._loops.forget_setpoints()  # The next start must not move an axis to an old setpoint.
+        self._loops.forget_setpoints()  # The next start must not move an axis to an old setpoint.
         if trigger is Trigger.STOP:
             return combine(changed, self._centre())
         if trigger is Trigger.RESET:
@@ -277,7 +297,7 @@ class Gateway:
             LogEntry(Severity.INFO, axis, f"{axis} approaches {text}")
             for axis, text in self._loops.requested_setpoints()
         )
-        return combine(self._state.enter(Trigger.START), Output(log=moves + self._disabled_checks))
+        return combine(self._state.enter(Trigger.START), Output(log=moves + self._arming.disabled_checks))
 
     # The end of a period and the beginning of the next
 
@@ -445,20 +465,3 @@ class Gateway:
                 return Output(log=(LogEntry(Severity.WARNING, "bus", text),))
             case None:
                 return NOTHING
-
-
-def _disabled_checks(rig: Rig) -> Iterator[LogEntry]:
-    """Yield a warning for each axis with checks that are disabled or cannot act."""
-    for name, axis in rig.axes.items():
-        if axis.envelope.disabled:
-            keys = ", ".join(axis.envelope.disabled)
-            text = f"not protected by {keys} (rig: axes.{name}.envelope.disabled)"
-            yield LogEntry(Severity.WARNING, name, text)
-        opening_v, far_open_v = axis.range.valve_v, axis.limits.far_open_v
-        if opening_v < far_open_v and "max_still_s" not in axis.envelope.disabled:
-            text = (
-                f"not protected by max_still_s, because the valve opens by {opening_v:g} V (rig: "
-                f"axes.{name}.valve) and is far open from {far_open_v:g} V on; give "
-                f"axes.{name}.envelope.far_open_v"
-            )
-            yield LogEntry(Severity.WARNING, name, text)

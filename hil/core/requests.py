@@ -39,7 +39,30 @@ class JogRequest(NamedTuple):
     """Time after which the valve is centred, in seconds."""
 
 
-Request = Trigger | SetpointRequest | ControllerRequest | JogRequest
+class CheckFailure(NamedTuple):
+    """A check before arming that has failed."""
+
+    check: str
+    """Name of the check, by which an operator can override it."""
+    text: str
+    """What was found, and what to do."""
+
+
+class ArmRequest(NamedTuple):
+    """Allow motion, with the results of the shell's checks. ``Trigger.ARM`` is a request without any."""
+
+    failures: tuple[CheckFailure, ...] = ()
+    """Checks of this machine that have failed."""
+    overrides: tuple[str, ...] = ()
+    """Names of checks that do not refuse to arm if they fail."""
+
+
+def arm_request(failures: tuple[CheckFailure, ...], overrides: tuple[str, ...]) -> Trigger | ArmRequest:
+    """Return the request to arm: the plain trigger if there is nothing to add to it."""
+    return ArmRequest(failures, overrides) if failures or overrides else Trigger.ARM
+
+
+Request = Trigger | ArmRequest | SetpointRequest | ControllerRequest | JogRequest
 """Anything that an operator may ask."""
 
 

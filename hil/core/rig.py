@@ -40,6 +40,10 @@ MAX_POLL_S = 0.0005
 CHANNELS = 3
 """Analogue channels of each board."""
 
+Right = Literal["SCHED_FIFO", "memory lock"]
+"""Right that a rig may require of the machine. Without it, a loop can be late by many periods."""
+REAL_ARM_RIGHTS: tuple[Right, ...] = ("SCHED_FIFO", "memory lock")
+"""Rights that a real arm requires if the rig file does not say otherwise."""
 Periods = Annotated[int, msgspec.Meta(ge=1, le=1000)]
 Timeout = Annotated[float, msgspec.Meta(ge=0.001, le=MAX_HEARTBEAT_TIMEOUT_S)]
 Channel = Annotated[int, msgspec.Meta(ge=1, le=CHANNELS)]
@@ -55,6 +59,12 @@ class LoopSettings(Document, frozen=True):
     """Time in seconds for which the loop polls before each deadline instead of sleeping; 0 turns it off.
 
     It then wakes up by so much earlier. The loop polls only with SCHED_FIFO and more than one processor.
+    """
+
+    required_rights: list[Right] | None = None
+    """Rights of the loop without which the gateway does not arm.
+
+    None: ``REAL_ARM_RIGHTS`` on a bus that may lead to a real arm, and none on a simulated one.
     """
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TypeVar
@@ -104,9 +104,13 @@ class Client:
             while line := lines.read(timeout_s=interval_s + TIMEOUT_S):
                 yield msgspec.json.decode(line, type=Update).status
 
-    def arm(self) -> str:
-        """Allow motion: ready becomes armed. The valves stay centred. Return what happened."""
-        return self._ask(ArmCall(id=self._next_id())).text
+    def arm(self, override: Iterable[str] = ()) -> str:
+        """Allow motion: ready becomes armed. The valves stay centred. Return what happened.
+
+        The daemon refuses if a check fails, such as a right that the rig requires of the machine. The refusal
+        names the check; ``override`` has the names of checks that may fail.
+        """
+        return self._ask(ArmCall(id=self._next_id(), override=tuple(override))).text
 
     def disarm(self) -> str:
         """Forbid motion: armed becomes ready. Return what happened."""

@@ -17,7 +17,8 @@ request           keys besides ``id``            effect
 ================  =============================  ==========================================================
 ``status``                                       the answer has the key ``status``, see :class:`Status`
 ``watch``         ``interval_s`` (0.05 to 60)    from now on, the connection only sends :class:`Update` lines
-``arm``                                          ready -> armed
+``arm``           ``override`` (optional)        ready -> armed, unless a check fails that is not in the list
+                                                 ``override``
 ``disarm``                                       armed -> ready
 ``start``                                        armed -> running: the controllers move the valves
 ``stop``                                         running -> armed: the valves are centred
@@ -58,6 +59,8 @@ MAX_REQUESTS_PER_S = 200.0
 """Average rate at which requests of one connection are read."""
 WRITE_TIMEOUT_S = 5.0
 """Time after which a client that reads nothing is disconnected."""
+MAX_OVERRIDES = 32
+"""Number of checks that one request to arm can override."""
 
 AxisName = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 ShortText = Annotated[str, msgspec.Meta(min_length=1, max_length=1024)]
@@ -80,8 +83,11 @@ class WatchCall(Call, frozen=True, tag="watch"):
     interval_s: Annotated[float, msgspec.Meta(ge=0.05, le=60.0)] = 0.2
 
 
-class ArmCall(Call, frozen=True, tag="arm"):
+class ArmCall(Call, frozen=True, tag="arm", omit_defaults=True):
     """Allow motion."""
+
+    override: Annotated[tuple[ShortText, ...], msgspec.Meta(max_length=MAX_OVERRIDES)] = ()
+    """Names of checks that do not keep the daemon from arming if they fail."""
 
 
 class DisarmCall(Call, frozen=True, tag="disarm"):
@@ -220,6 +226,8 @@ class Status(msgspec.Struct, frozen=True):
     """Path of the recording, or None if nothing is recorded."""
     axes: tuple[AxisStatus, ...]
     """Signals of every axis, in the order of the rig file."""
+    overridden_checks: tuple[str, ...] = ()
+    """Failed checks that an operator has overridden to arm."""
     log: tuple[LogLine, ...] = ()
     """Log entries since the last status of the same watch; empty in the answer to ``status``."""
 

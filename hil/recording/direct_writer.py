@@ -9,7 +9,16 @@ import msgspec
 
 from hil.core.errors import RecordingError, RecordingExistsError
 from hil.core.output import LogEntry
-from hil.recording.handover import BATCH, BLOCK_HEADER, END, HEADER, NextFile, Progress, RunHeader
+from hil.recording.handover import (
+    BATCH,
+    BLOCK_HEADER,
+    END,
+    HEADER,
+    NextFile,
+    Progress,
+    RunHeader,
+    next_header,
+)
 from hil.recording.mcap_writer import McapWriter
 
 
@@ -35,7 +44,8 @@ class DirectWriter:
         """Add a block to the file."""
         content = bytes(block[BLOCK_HEADER.size :])
         if kind == HEADER:
-            self._writer = McapWriter(self._written.append, msgspec.msgpack.decode(content, type=RunHeader))
+            self._header = msgspec.msgpack.decode(content, type=RunHeader)
+            self._writer = McapWriter(self._written.append, self._header)
         elif kind == BATCH:
             self._writer.add_batch(content)
         elif kind == END:
@@ -53,11 +63,13 @@ class DirectWriter:
     def next_file(self, path: Path, block: bytearray) -> bool:
         """Write the file, and go on with another one. Always returns True."""
         self.close()
-        for name in msgspec.msgpack.decode(block[BLOCK_HEADER.size :], type=NextFile).remove:
+        file = msgspec.msgpack.decode(block[BLOCK_HEADER.size :], type=NextFile)
+        for name in file.remove:
             Path(name).unlink(missing_ok=True)
         self._path = path
         self._written.clear()
         self.dropped.clear()
+        self._writer = McapWriter(self._written.append, next_header(self._header, file))
         return True
 
     def close(self) -> None:

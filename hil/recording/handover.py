@@ -10,15 +10,17 @@ the reason why it cannot be written.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
 BLOCK_HEADER = struct.Struct("<cI")
 HEADER, BATCH, END, NEXT = b"H", b"B", b"E", b"N"
-"""Kinds of blocks. HEADER begins the contents of a file and END finishes it. NEXT (:class:`NextFile`) opens
-another file, whose header follows."""
+"""Kinds of blocks. HEADER begins the contents of the first file, and END finishes a file. NEXT
+(:class:`NextFile`) opens another file and begins its contents."""
 LOSSLESS, REAL_TIME = "lossless", "real-time"
 """Argument of the recorder process. In real time, a chunk also ends when no block has come for a while."""
 
@@ -56,12 +58,33 @@ class RunHeader(msgspec.Struct, frozen=True):
 
 
 class NextFile(msgspec.Struct, frozen=True):
-    """File that follows on the one that was ended."""
+    """File that follows on the one that was ended. Its header is :func:`next_header`."""
 
     path: str
     """Its path. It must not exist."""
     remove: tuple[str, ...] = ()
     """Files that are removed first, to make room."""
+    attachments: dict[str, tuple[str, bytes]] = {}
+    """Media type and content of each document that the first file does not have, by its name."""
+    states: dict[str, dict[str, Any]] = {}
+    """Plain values of each further document, by its name. They are written as JSON."""
+
+
+def next_header(first: RunHeader, file: NextFile) -> RunHeader:
+    """Return the header of a further file: that of the first one, with the documents of ``file``.
+
+    This takes about a millisecond. Therefore the recorder process does it, and not the loop.
+    """
+    added = dict(file.attachments)
+    for name, state in file.states.items():
+        text = json.dumps(state, allow_nan=False, separators=(",", ":"))
+        added[name] = ("application/json", text.encode())
+    digests = {name: hashlib.sha256(content).hexdigest() for name, (_, content) in added.items()}
+    return msgspec.structs.replace(
+        first,
+        attachments={**first.attachments, **added},
+        metadata={**first.metadata, "documents": {**first.metadata.get("documents", {}), **digests}},
+    )
 
 
 class Progress(NamedTuple):

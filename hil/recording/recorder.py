@@ -7,11 +7,10 @@ time, no method here blocks.
 
 from __future__ import annotations
 
-import hashlib
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
@@ -105,7 +104,6 @@ class Recorder:
                 "stamps of a recording must lie between 1970 and January 2038: set the clock"
             )
         self._path = path
-        self._header = header
         self._is_stopped = False
         """True after :meth:`stop`, until the next file begins. Messages are then discarded."""
         self._min_free_bytes = min_free_bytes
@@ -239,31 +237,25 @@ class Recorder:
         attachments: Mapping[str, tuple[str, bytes]],
         ending: dict[str, dict[str, str]],
         remove: Sequence[Path] = (),
+        states: Mapping[str, dict[str, Any]] | None = None,
     ) -> str | None:
         """Go on in another file, and return None, or why that is not possible.
 
-        ``attachments`` are added to those of the first file, with their digests in the metadata
-        ``documents``. ``ending`` is the metadata that ends the present file. The files in ``remove`` go.
-        Nothing waits for the disk: whether the file can be written is known later, as for every file.
+        ``attachments`` are added to those of the first file, and so are the plain values of ``states``, as
+        JSON. Their digests are in the metadata ``documents``. ``ending`` is the metadata that ends the
+        present file. The files in ``remove`` go. Nothing waits for the disk: whether the file can be written
+        is known later, as for every file.
         """
         if path.exists():
             return f"{path} exists already; a recording overwrites no file"
         self.stop(ending)
-        block = _empty_block() + msgspec.msgpack.encode(NextFile(str(path), tuple(map(str, remove))))
-        if not self._pipe.next_file(path, block):
+        file = NextFile(str(path), tuple(map(str, remove)), dict(attachments), dict(states or {}))
+        if not self._pipe.next_file(path, _empty_block() + msgspec.msgpack.encode(file)):
             return "the recorder process has ended; end this program and start it again to record"
         self._path = path
         self._is_stopped = False
         self._sequence = 0
         self._batch = _empty_block()
-        digests = {name: hashlib.sha256(content).hexdigest() for name, (_, content) in attachments.items()}
-        metadata = self._header.metadata
-        header = msgspec.structs.replace(
-            self._header,
-            attachments={**self._header.attachments, **attachments},
-            metadata={**metadata, "documents": {**metadata.get("documents", {}), **digests}},
-        )
-        self._pipe.send(_empty_block() + msgspec.msgpack.encode(header), HEADER)
         return None
 
     def stop(self, ending: dict[str, dict[str, str]]) -> None:

@@ -31,6 +31,7 @@ from hil.recording.handover import (
     NextFile,
     Progress,
     RunHeader,
+    next_header,
     progress_line,
 )
 from hil.recording.mcap_writer import McapWriter
@@ -79,6 +80,8 @@ class _Files:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._output = OUTPUT
+        self._header: RunHeader | None = None
+        """Header of the first file."""
         self._writer: McapWriter | None = None
         """Writer of the present file; None before its header, after its end, and when it has failed."""
         self._written = 0
@@ -89,8 +92,8 @@ class _Files:
         """Do what a block asks for. An error of the system ends the file, and is reported."""
         try:
             if kind == HEADER:
-                if self.failure is None:
-                    self._writer = McapWriter(self._write, msgspec.msgpack.decode(content, type=RunHeader))
+                self._header = msgspec.msgpack.decode(content, type=RunHeader)
+                self._writer = McapWriter(self._write, self._header)
             elif kind == BATCH:
                 if self._writer is not None:
                     self._writer.add_batch(content)
@@ -136,6 +139,8 @@ class _Files:
         self._output = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         self._written = 0
         self.failure = None
+        if self._header is not None:
+            self._writer = McapWriter(self._write, next_header(self._header, file))
 
     def _finish(self, metadata: dict[str, Any]) -> None:
         if self._writer is not None:

@@ -5,7 +5,8 @@ A trigger of the run's own plan is its bare value, such as ``start``. Every othe
     {"request": "setpoint", "axis": "vertical", "setpoint": "step:0.1@0", "asked_by": "uid 1000, pid 4711"}
 
 ``request`` is the value of a trigger, or ``setpoint``, ``controller`` or ``jog``; the other keys are the
-fields of the request. ``asked_by`` says who asked, as the shell that took the request knows it.
+fields of the request. The trigger ``arm`` has the keys ``failures`` and ``overrides`` if a check before
+arming has failed or is overridden. ``asked_by`` says who asked, as the shell that took the request knows it.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from typing import Any
 import msgspec
 
 from hil.core.life_cycle import Trigger
-from hil.core.requests import ControllerRequest, JogRequest, Request, SetpointRequest
+from hil.core.requests import ArmRequest, ControllerRequest, JogRequest, Request, SetpointRequest
 
-_KINDS: dict[str, type[SetpointRequest] | type[ControllerRequest] | type[JogRequest]] = {
+_KINDS: dict[str, type[ArmRequest | SetpointRequest | ControllerRequest | JogRequest]] = {
+    "arm": ArmRequest,
     "setpoint": SetpointRequest,
     "controller": ControllerRequest,
     "jog": JogRequest,
@@ -44,7 +46,7 @@ def read_request(text: str) -> tuple[Request, str]:
     fields = json.loads(text)
     name, asked_by = fields.pop("request", ""), fields.pop("asked_by", "")
     kind = _KINDS.get(name)
-    if kind is None:
+    if kind is None or (kind is ArmRequest and not fields):
         return _trigger(name), str(asked_by)
     try:
         if fields.keys() != set(kind._fields):
@@ -61,6 +63,8 @@ def describe_request(request: Request) -> str:
             return f"setpoint of {axis}: {setpoint}"
         case ControllerRequest(axis, name, _):
             return f"controller of {axis}: {name}"
+        case ArmRequest(_, overrides):
+            return f"arm, overriding {', '.join(overrides)}" if overrides else "arm"
         case JogRequest(axis, offset_v, duration_s):
             return f"jog {axis} by {offset_v:+g} V for {duration_s:g} s"
     return request.value

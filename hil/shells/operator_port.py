@@ -17,7 +17,15 @@ import msgspec
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import Trigger
 from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
-from hil.core.requests import ControllerRequest, JogRequest, Reply, Request, SetpointRequest
+from hil.core.requests import (
+    CheckFailure,
+    ControllerRequest,
+    JogRequest,
+    Reply,
+    Request,
+    SetpointRequest,
+    arm_request,
+)
 from hil.operation.pipe import MAX_MESSAGE_BYTES, Asked, Logged, Replied, StatusNow
 from hil.operation.protocol import (
     ArmCall,
@@ -76,8 +84,11 @@ class OperatorPort:
         actions: Mapping[type[LoopCall], Action],
         recording: Callable[[], str | None],
         clock_ns: Callable[[], int],
+        failures: tuple[CheckFailure, ...] = (),
     ) -> None:
+        """``failures`` are the checks of this machine that have failed; they go into each request to arm."""
         self._pipe = pipe
+        self._failures = failures
         self._described = described
         self._actions = actions
         self._recording = recording
@@ -181,7 +192,7 @@ class OperatorPort:
             reply = Reply(False, "refused: the daemon is ending, with centred valves")
             session.note(LogEntry(Severity.WARNING, "operator", f"{asked.asked_by}: {reply.text}"))
             return reply
-        request = _core_request(asked.call)
+        request = _core_request(asked.call, self._failures)
         if request is not None:
             return session.operate(request, asked.asked_by, asked.prepared)
         action = self._actions.get(type(asked.call))
@@ -205,6 +216,7 @@ class OperatorPort:
             rejected_frames=gateway.rejected_frames,
             lost_samples=gateway.lost_samples,
             recording=self._recording(),
+            overridden_checks=gateway.overridden_checks,
             axes=tuple(
                 _axis_status(name, unit, signals)
                 for (name, unit), signals in zip(described.axes, cycle.axes, strict=True)
@@ -235,7 +247,6 @@ class OperatorPort:
 
 
 _TRIGGERS: dict[type[LoopCall], Trigger] = {
-    ArmCall: Trigger.ARM,
     DisarmCall: Trigger.DISARM,
     StartCall: Trigger.START,
     StopCall: Trigger.STOP,
@@ -243,9 +254,11 @@ _TRIGGERS: dict[type[LoopCall], Trigger] = {
 }
 
 
-def _core_request(call: LoopCall) -> Request | None:
+def _core_request(call: LoopCall, failures: tuple[CheckFailure, ...]) -> Request | None:
     """Return the core's request, or None if the request is not for the core."""
     match call:
+        case ArmCall():
+            return arm_request(failures, call.override)
         case SetpointCall():
             return SetpointRequest(call.axis, call.setpoint)
         case ControllerCall():

@@ -1,25 +1,49 @@
 """The checks of one rig before it is operated: its files, its protection, its bus, and this machine's rights.
 
 Nothing is opened and nothing is sent. What only the bus can show (boards, samples, positions) is shown by
-``hil monitor``, and checked by the gateway before it arms.
+``hil monitor``, and checked by the gateway before it arms. Arming also needs the rights that the rig requires
+(:func:`missing_rights`) and valid controllers (``hil.core.arming``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hil.core.errors import HilError
-from hil.core.rig import Rig
+from hil.core.requests import CheckFailure
+from hil.core.rig import REAL_ARM_RIGHTS, Rig
 from hil.host.doctor import Check, CheckVerdict
 from hil.host.doctor.can_interface import bus_of_rig
 from hil.host.doctor.check import check
-from hil.host.doctor.timing import clock, limits, processors, rights_and_wake_ups
+from hil.host.doctor.timing import clock, limits, processors, rights_advice, rights_and_wake_ups
+from hil.host.realtime_rights import Rights
 from hil.shells.real_bus import is_real
 from hil.shells.run_setup import RunSetup, load_setup
 
-ESSENTIAL_RIGHTS = ("SCHED_FIFO", "memory lock")
-"""Rights without which a loop must not control a real arm: it could be late by many periods."""
+
+def required_rights(rig: Rig, bus: str) -> Sequence[str]:
+    """Return the rights without which ``rig`` must not be armed on ``bus``."""
+    if rig.loop.required_rights is not None:
+        return rig.loop.required_rights
+    return REAL_ARM_RIGHTS if is_real(bus) else ()
+
+
+def missing_rights(rig: Rig, bus: str, rights: Rights) -> tuple[CheckFailure, ...]:
+    """Return the required rights that the loop was refused, as failed checks of a request to arm.
+
+    The name of a check has hyphens in place of spaces, such as ``memory-lock``.
+    """
+    required = required_rights(rig, bus)
+    return tuple(
+        CheckFailure(
+            right.name.replace(" ", "-"),
+            f"this machine refuses this right to the loop: {right.detail}; the rig requires it (rig: "
+            f"loop.required_rights): {rights_advice(right) or 'see `hil doctor`'}",
+        )
+        for right in rights
+        if right.name in required and not right.is_granted
+    )
 
 
 def preflight(rig_path: Path | None, bus: str | None = None) -> list[Check]:
@@ -37,14 +61,19 @@ def preflight(rig_path: Path | None, bus: str | None = None) -> list[Check]:
         *clock(),
         *processors(),
     )
-    return checks + [_demanded(one) if is_real(channel) else one for one in machine]
+    required = required_rights(setup.rig, channel)
+    return checks + [_essential(one) if one.name in required else one for one in machine]
 
 
 def _files(setup: RunSetup) -> Iterator[Check]:
     """Report what was read. Reading has checked keys, limits, sample times and units."""
     rig = setup.rig
     yield check("rig file", f"valid; axes {', '.join(rig.axes)}; period {1e3 * rig.loop.period_s:g} ms")
+    failures = setup.controller_failures()
     for name, controller in setup.controllers.items():
+        if name in failures:
+            yield check(f"controller {name}", failures[name], "design another controller", is_essential=True)
+            continue
         found = f"{controller.name}, made for {1e3 * controller.sample_time_s:g} ms; setpoint "
         yield check(f"controller {name}", found + setup.setpoints[name].text)
 
@@ -72,8 +101,6 @@ def _protection(rig: Rig, is_real_bus: bool) -> Iterator[Check]:
             yield check(name, "none in the rig file", advice)
 
 
-def _demanded(found: Check) -> Check:
-    """Return a finding about this machine as a real arm needs it."""
-    if found.name in ESSENTIAL_RIGHTS and found.advice:
-        return found._replace(verdict=CheckVerdict.MISSING)
-    return found
+def _essential(found: Check) -> Check:
+    """Return the finding about a required right: without it, nothing arms."""
+    return found._replace(verdict=CheckVerdict.MISSING) if found.advice else found

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from enum import StrEnum
 
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState, Trigger
+from hil.core.requests import ArmRequest, CheckFailure, arm_request
 
 CENTRING_PERIODS = 3
 """Number of periods in which the centring command is sent at the end.
@@ -66,15 +68,15 @@ class Plan(ABC):
             self.ending = ending
         self._remaining_periods = 0
 
-    def after_period(self, gateway: Gateway) -> Trigger | None:
-        """Count a period that has begun, and return the trigger to give to ``gateway`` now, if any."""
+    def after_period(self, gateway: Gateway) -> Trigger | ArmRequest | None:
+        """Count a period that has begun, and return the request to give to ``gateway`` now, if any."""
         if self._remaining_periods:
             self._remaining_periods -= 1
         return self._next_trigger(gateway)
 
     @abstractmethod
-    def _next_trigger(self, gateway: Gateway) -> Trigger | None:
-        """Return the trigger to give to ``gateway`` in the period that has begun, if any."""
+    def _next_trigger(self, gateway: Gateway) -> Trigger | ArmRequest | None:
+        """Return the request to give to ``gateway`` in the period that has begun, if any."""
 
     def _stop(self, gateway: Gateway) -> Trigger | None:
         """Return the trigger that ends the motion of a run that ends."""
@@ -94,16 +96,28 @@ class OperatorPlan(Plan):
 class RunPlan(Plan):
     """The plan of a run without an operator: arm, start, and stop after a time."""
 
-    def __init__(self, duration_s: float, period_s: float, bring_up_s: float = 5.0) -> None:
-        """The boards may take ``bring_up_s`` to come up. From the start on, the run lasts ``duration_s``."""
+    def __init__(
+        self, duration_s: float, period_s: float, bring_up_s: float = 5.0, overrides: Sequence[str] = ()
+    ) -> None:
+        """The boards may take ``bring_up_s`` to come up. From the start on, the run lasts ``duration_s``.
+
+        ``overrides`` are names of checks that do not keep the gateway from arming if they fail.
+        """
         super().__init__()
+        self._overrides = tuple(overrides)
+        self._arm = arm_request((), self._overrides)
+        self._has_asked_to_arm = False
         self.duration_s = duration_s
         self._run_periods = max(round(duration_s / period_s), 1)
         self._bring_up_periods = max(round(bring_up_s / period_s), 1)
         self._periods = 0
         self._started_at_period: int | None = None
 
-    def _next_trigger(self, gateway: Gateway) -> Trigger | None:
+    def take_failures(self, failures: tuple[CheckFailure, ...]) -> None:
+        """Take the checks of this machine that have failed, for the request to arm."""
+        self._arm = arm_request(failures, self._overrides)
+
+    def _next_trigger(self, gateway: Gateway) -> Trigger | ArmRequest | None:
         self._periods += 1
         if gateway.state is LifeCycleState.FAULT:
             self.end(Ending.FAULT)
@@ -122,9 +136,13 @@ class RunPlan(Plan):
             return Trigger.STOP
         return None
 
-    def _bring_up(self, gateway: Gateway) -> Trigger | None:
+    def _bring_up(self, gateway: Gateway) -> Trigger | ArmRequest | None:
         if gateway.state is LifeCycleState.READY:
-            return Trigger.ARM
+            if self._has_asked_to_arm:
+                self.end(Ending.START_REFUSED)
+                return None
+            self._has_asked_to_arm = True
+            return self._arm
         if gateway.state is LifeCycleState.ARMED:
             self._started_at_period = self._periods
             return Trigger.START

@@ -12,7 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.core.closed_loop_poles import check_closed_loop
 from hil.core.control_law import ControlLaw, check_law_runs
+from hil.core.controller_change import delay_periods
 from hil.core.controller_file import ControllerFile, check_controller_fits, read_controller
 from hil.core.errors import DocumentError, SetpointError
 from hil.core.experiment import NAME as EXPERIMENT_NAME
@@ -50,7 +52,21 @@ class RunSetup:
     def gateway(self, first_deadline_ns: int) -> Gateway:
         """Return a new gateway core in state offline."""
         laws = {name: ControlLaw(c.law, c.sample_time_s) for name, c in self.controllers.items()}
-        return Gateway(self.rig, laws, self.setpoints, first_deadline_ns, self.experiment)
+        failures = self.controller_failures()
+        return Gateway(self.rig, laws, self.setpoints, first_deadline_ns, self.experiment, failures)
+
+    def controller_failures(self) -> dict[str, str]:
+        """Return, by axis name, why a controller must not run: its closed loop is unstable.
+
+        The texts depend on the documents alone, so that a replay has the same.
+        """
+        failures = {}
+        for name, controller in self.controllers.items():
+            try:
+                check_closed_loop(controller, controller.name, delay_periods(self.rig))
+            except DocumentError as error:
+                failures[name] = str(error)
+        return failures
 
     def digests(self) -> dict[str, str]:
         """Return the SHA-256 of every document, by its name."""

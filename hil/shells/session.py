@@ -12,7 +12,7 @@ from hil.core.errors import LinkError
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
-from hil.core.requests import ControllerRequest, JogRequest, Reply, Request
+from hil.core.requests import ArmRequest, ControllerRequest, JogRequest, Reply, Request
 from hil.core.wire.codec import RPDO1_DAC
 from hil.recording.no_recorder import RunRecorder
 from hil.recording.request_texts import describe_request
@@ -92,7 +92,8 @@ class Session:
         goes_on = isinstance(request, JogRequest) and self.gateway.is_jogging
         if asked_by and not goes_on:
             text = f"{asked_by} asks: {describe_request(request)}"
-            self.note(LogEntry(Severity.INFO, "operator", text))
+            overrides = isinstance(request, ArmRequest) and bool(request.overrides)
+            self.note(LogEntry(Severity.WARNING if overrides else Severity.INFO, "operator", text))
         now_ns = self._clock_ns()
         record = partial(self._recorder.operated, request, now_ns, asked_by)
         output = self._handle(partial(self.gateway.operate, request, now_ns, prepared), record, now_ns)

@@ -13,7 +13,7 @@ from hil.cli import OPERATION, command_module, main
 from hil.cli.operate import duration
 from hil.cli.status import show_json, show_live, show_text, status_lines
 from hil.operation.pipe import Replied
-from hil.operation.protocol import ControllerCall, EventCall, JogCall, LogLine, SetpointCall, Status
+from hil.operation.protocol import ArmCall, ControllerCall, EventCall, JogCall, LogLine, SetpointCall, Status
 
 Bench = tuple[MadeUpLoop, list[str]]
 
@@ -56,6 +56,14 @@ def test_without_a_daemon_each_command_says_what_to_start(
     error = capsys.readouterr().err
     assert error.startswith(f"hil {name}: no daemon runs at ")
     assert "start one with `hil daemon`" in error
+
+
+def test_arm_sends_its_overrides(bench: Bench) -> None:
+    loop, at = bench
+    assert main(["arm", *at]) == 0
+    assert main(["arm", "--override", "SCHED_FIFO", "memory-lock", *at]) == 0
+    calls = [asked.call for asked in loop.asked]
+    assert calls == [ArmCall(id=1), ArmCall(id=1, override=("SCHED_FIFO", "memory-lock"))]
 
 
 def test_setpoints_are_numbers_or_texts(bench: Bench) -> None:
@@ -233,3 +241,9 @@ def test_watch_ends_with_the_daemon(tmp_path: Path, capsys: pytest.CaptureFixtur
         loop.send_status()
         loop.end.shutdown(2)
         assert main(["status", "--watch", "--interval", "0.05", "--socket", str(path)]) in (0, 1)
+
+
+def test_the_status_shows_overridden_checks() -> None:
+    lines = status_lines(status(overridden_checks=("SCHED_FIFO", "memory-lock")))
+    assert "override  armed although these checks fail: SCHED_FIFO, memory-lock" in lines
+    assert not any(line.startswith("override") for line in status_lines(status()))

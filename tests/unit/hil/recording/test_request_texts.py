@@ -7,7 +7,7 @@ import json
 import pytest
 
 from hil.core.life_cycle import Trigger
-from hil.core.requests import ControllerRequest, JogRequest, SetpointRequest
+from hil.core.requests import ArmRequest, CheckFailure, ControllerRequest, JogRequest, SetpointRequest
 from hil.recording.request_texts import describe_request, read_request, request_text
 
 
@@ -27,6 +27,21 @@ def test_a_request_is_an_object_with_named_fields() -> None:
         "asked_by": "uid 1000",
     }
     assert json.loads(request_text(Trigger.ARM, "uid 1000")) == {"request": "arm", "asked_by": "uid 1000"}
+
+
+def test_a_request_to_arm_has_its_checks_and_overrides() -> None:
+    request = ArmRequest((CheckFailure("SCHED_FIFO", "not permitted"),), ("SCHED_FIFO", "memory-lock"))
+    text = request_text(request, "uid 1000")
+    assert json.loads(text) == {
+        "request": "arm",
+        "failures": [["SCHED_FIFO", "not permitted"]],
+        "overrides": ["SCHED_FIFO", "memory-lock"],
+        "asked_by": "uid 1000",
+    }
+    assert read_request(text) == (request, "uid 1000")
+    assert describe_request(request) == "arm, overriding SCHED_FIFO, memory-lock"
+    assert describe_request(ArmRequest()) == "arm"
+    assert read_request('{"request": "arm", "asked_by": "uid 1000"}') == (Trigger.ARM, "uid 1000")
 
 
 def test_whole_numbers_are_read_as_floats() -> None:

@@ -12,17 +12,28 @@ from hil.core.controller_change import prepare_controller
 from hil.core.errors import ReplayMismatchError
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import LogEntry, Severity
-from hil.core.requests import ControllerRequest, JogRequest, Request, SetpointRequest
+from hil.core.requests import (
+    ArmRequest,
+    CheckFailure,
+    ControllerRequest,
+    JogRequest,
+    Request,
+    SetpointRequest,
+)
 from hil.recording.entries import Operated
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
 from hil.shells.run_setup import SHIPPED_CONTROLLERS
 
 WHO = "uid 1000, pid 4711"
+NO_FIFO = CheckFailure("SCHED_FIFO", "this machine refuses it")
 PPID = (SHIPPED_CONTROLLERS / "ppid.json").read_text()
 HORIZONTAL = (SHIPPED_CONTROLLERS / "horizontal.json").read_text()
 REQUESTS: list[tuple[Request, int, bool]] = [
     (JogRequest("vertical", 0.4, 0.2), 2, False),
+    (ArmRequest((NO_FIFO,)), 2, False),
+    (ArmRequest((NO_FIFO,), ("SCHED_FIFO",)), 2, True),
+    (Trigger.DISARM, 2, True),
     (Trigger.ARM, 2, True),
     (JogRequest("vertical", 0.4, 0.2), 10, True),
     (JogRequest("vertical", -0.4, 0.2), 25, True),

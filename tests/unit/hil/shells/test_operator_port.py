@@ -12,7 +12,7 @@ from support.operated_runs import OperatedRun
 
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import LogEntry, Severity
-from hil.core.requests import Reply
+from hil.core.requests import CheckFailure, Reply
 from hil.operation.pipe import Asked, FromLoop, Logged, Replied, StatusNow, pipe
 from hil.operation.protocol import (
     ArmCall,
@@ -104,6 +104,22 @@ def bench(tmp_path: Path) -> Iterator[PortBench]:
 
 def texts(bench: PortBench, source: str) -> list[str]:
     return [entry.text for entry in bench.run.shown.entries if entry.source == source]
+
+
+def test_checks_of_the_machine_refuse_to_arm_unless_they_are_overridden(bench: PortBench) -> None:
+    bench.port._failures = (CheckFailure("SCHED_FIFO", "not permitted"),)
+    reply = bench.reply_to(ArmCall())
+    assert not reply.accepted
+    assert reply.text.startswith("arm refused: SCHED_FIFO: not permitted")
+    assert bench.reply_to(ArmCall(override=("SCHED_FIFO",))).accepted
+    bench.period(STATUS_PERIODS + 1)
+    states = [message.status for message in bench.received() if isinstance(message, StatusNow)]
+    assert states[-1].overridden_checks == ("SCHED_FIFO",)
+    entries = bench.run.shown.entries
+    asked = [entry for entry in entries if entry.source == "operator"]
+    assert asked[-1] == LogEntry(Severity.WARNING, "operator", f"{WHO} asks: arm, overriding SCHED_FIFO")
+    found = LogEntry(Severity.WARNING, "preflight", "SCHED_FIFO is overridden: not permitted")
+    assert found in entries
 
 
 def test_requests_reach_the_core_with_who_asked(bench: PortBench) -> None:

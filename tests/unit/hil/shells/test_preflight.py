@@ -14,11 +14,14 @@ from support.gateway_bench import EXAMPLE_RIG, rig_text
 
 from hil.cli import doctor as command
 from hil.core.errors import DocumentError
+from hil.core.rig import read_rig
 from hil.host.doctor import Check, CheckVerdict, can_interface
 from hil.host.doctor.can_interface import bus_of_rig, link_details
 from hil.host.doctor.check import check
+from hil.host.realtime_rights import Right, Rights
 from hil.shells import preflight as module
-from hil.shells.preflight import preflight
+from hil.shells.preflight import missing_rights, preflight
+from hil.shells.run_setup import SHIPPED_CONTROLLERS, load_setup
 
 UP = {"flags": ["UP"], "linkinfo": {"info_data": {"bittiming": {"bitrate": 500000}, "state": "ERROR-ACTIVE"}}}
 
@@ -86,6 +89,50 @@ class TestPreflight:
         (found,) = preflight(rig)
         assert (found.name, found.verdict) == ("rig file", CheckVerdict.MISSING)
         assert "sample" in found.found
+
+
+def unstable(folder: Path) -> Path:
+    """A rig file whose controller for the vertical axis has an unstable loop with the plant in its file."""
+    controller = json.loads((SHIPPED_CONTROLLERS / "horizontal.json").read_text())
+    controller["law"] = {"kind": "pid", "kp": -50.0, "ki": 0.0}
+    (folder / "wrong.json").write_text(json.dumps(controller))
+    rig = folder / "rig.toml"
+    rig.write_text(EXAMPLE_RIG.replace('controller = "ppid"', 'controller = "wrong.json"', 1))
+    return rig
+
+
+class TestArming:
+    @pytest.mark.usefixtures("machine")
+    def test_an_unstable_loop_is_missing_and_refuses_to_arm(self, tmp_path: Path) -> None:
+        rig = unstable(tmp_path)
+        found = check_named(preflight(rig), "controller vertical")
+        assert found.verdict is CheckVerdict.MISSING
+        assert found.found.startswith("horizontal: the closed loop with the plant of the file")
+        assert load_setup(rig, {}, {}).controller_failures() == {"vertical": found.found}
+
+    @pytest.mark.parametrize(
+        ("required", "bus", "missing"),
+        [
+            (None, "can0", ["SCHED_FIFO", "memory-lock"]),
+            (None, "slcan:/dev/ttyACM0", ["SCHED_FIFO", "memory-lock"]),
+            (None, "sim", []),
+            (None, "vcan0", []),
+            ("[]", "can0", []),
+            ('["memory lock"]', "sim", ["memory-lock"]),
+        ],
+    )
+    def test_the_rig_says_which_rights_the_loop_needs(
+        self, required: str | None, bus: str, missing: list[str]
+    ) -> None:
+        text = EXAMPLE_RIG
+        if required is not None:
+            text = text.replace("[loop]\n", f"[loop]\nrequired_rights = {required}\n", 1)
+        refused = [Right(name, False, "not permitted") for name in ("memory lock", "SCHED_FIFO", "polling")]
+        found = missing_rights(read_rig(text, "rig.toml"), bus, Rights(refused))
+        assert sorted(failure.check for failure in found) == missing
+        assert all("not permitted" in f.text and "loop.required_rights" in f.text for f in found)
+        granted = Rights(right._replace(is_granted=True) for right in refused)
+        assert missing_rights(read_rig(text, "rig.toml"), bus, granted) == ()
 
 
 class TestBus:

@@ -10,7 +10,7 @@ from firmware_sim.boards.faults import AdcFaults
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import Output
-from hil.core.requests import JogRequest
+from hil.core.requests import ArmRequest, CheckFailure, JogRequest
 from hil.core.wire import codec
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, OperatorPlan, Plan, RunPlan, StopRequest
 
@@ -45,7 +45,7 @@ class PlannedRun:
             self.period()
 
 
-def stepped(plan: RunPlan, gateway: SteppedGateway) -> Trigger | None:
+def stepped(plan: RunPlan, gateway: SteppedGateway) -> Trigger | ArmRequest | None:
     """One period of a gateway without boards; the plan's trigger."""
     gateway.deadline()
     return plan.after_period(gateway.core)
@@ -66,8 +66,25 @@ class TestOrder:
         gateway.lose_sample()
         gateway.bring_to(LifeCycleState.READY)
         assert stepped(plan, gateway) is Trigger.ARM
-        assert stepped(plan, gateway) is Trigger.ARM  # again, as long as the gateway is not armed
         gateway.operate(Trigger.ARM)
+        assert stepped(plan, gateway) is Trigger.START
+
+    def test_a_refused_request_to_arm_ends_the_run(self) -> None:
+        plan, gateway = RunPlan(1.0, PERIOD_S), make_stepped(LifeCycleState.READY)
+        failure = CheckFailure("SCHED_FIFO", "refused")
+        plan.take_failures((failure,))
+        assert stepped(plan, gateway) == ArmRequest((failure,))
+        gateway.operate(ArmRequest((failure,)))
+        assert stepped(plan, gateway) is None
+        assert plan.ending is Ending.START_REFUSED
+
+    def test_overrides_go_with_the_request_to_arm(self) -> None:
+        plan = RunPlan(1.0, PERIOD_S, overrides=["SCHED_FIFO"])
+        gateway = make_stepped(LifeCycleState.READY)
+        failure = CheckFailure("SCHED_FIFO", "refused")
+        plan.take_failures((failure,))
+        assert stepped(plan, gateway) == ArmRequest((failure,), ("SCHED_FIFO",))
+        gateway.operate(ArmRequest((failure,), ("SCHED_FIFO",)))
         assert stepped(plan, gateway) is Trigger.START
 
     @pytest.mark.parametrize(("duration_s", "samples"), [(0.0112, 2), (0.56, 51), (1.0, 90), (1e-6, 2)])
