@@ -16,12 +16,12 @@ from typing import Final
 
 from firmware_sim.boards.adc import AdcBoard
 from firmware_sim.boards.canopen_slave import Frames, NmtCommand
-from firmware_sim.boards.codec import ADC_NODE, DAC_NODE, NMT_ID, encode_values
+from firmware_sim.boards.codec import ADC_NODE, DAC_NODE, NMT_ID
 from firmware_sim.boards.dac import DacBoard
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from firmware_sim.faults.condition import Condition, Observation, parse_condition
 from firmware_sim.faults.fault_text import fault_text, parse_fault
-from firmware_sim.faults.frame_faults import FrameChanger, counter_of, counts_of
+from firmware_sim.faults.frame_faults import FrameChanger, counter_of, counts_of, pdo
 from firmware_sim.faults.host import HostTiming
 from firmware_sim.faults.kinds import (
     FRAME_IDS,
@@ -316,7 +316,7 @@ class FaultyRig:
             case StepClock(step_s=step_s):
                 self.host.step_clock(round(step_s * 1e9))
             case _:
-                self._changers.append((fault, FrameChanger(fault, random)))
+                self._changers.append((fault, FrameChanger(fault, random, self._rig.bus.wire_version)))
         return ()
 
     def _end(self, fault: AnyFault, now_ns: int) -> Frames:
@@ -358,7 +358,7 @@ class FaultyRig:
                     return ()
                 copied = self._copied.setdefault(id(fault), self._last[identifier])
                 if name in ("sample", "command") and counter_of(copied) is not None:
-                    copied = Frame(copied.id, encode_values(counts_of(copied), counter))
+                    copied = pdo(copied.id, counts_of(copied), counter, self._rig.bus.wire_version)
                 return self._from_stranger(copied, now_ns)
 
     def _set_hung(self, name: str, hung: bool) -> None:

@@ -10,15 +10,24 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from firmware_sim.boards.canopen_slave import CanopenSlave, Frames, Identity
-from firmware_sim.boards.codec import ADC_NODE, TPDO1_ID, TPDO2_ID, Converter, encode_values
+from firmware_sim.boards.codec import (
+    ADC_NODE,
+    TPDO1_ID,
+    TPDO2_ID,
+    Converter,
+    data_identity,
+    encode_values,
+)
 from firmware_sim.boards.faults import AdcFaults
 from firmware_sim.boards.input_frames import Contacts, InputFrames
 from firmware_sim.boards.object_dictionary import (
     NOT_USED,
+    WIRE_VERSION_INDEX,
     DataType,
     Dictionary,
     Entry,
     communication,
+    constant,
     mapping,
     record,
 )
@@ -37,7 +46,17 @@ class AdcBoard(CanopenSlave[AdcFaults]):
     ``resolution_bits`` is the converter's resolution, ``heartbeat_ns`` the time between two heartbeats.
     """
 
-    __slots__ = ("_contacts", "_converter", "_counter", "_inputs", "_protected", "_sample", "_values")
+    __slots__ = (
+        "_contacts",
+        "_converter",
+        "_counter",
+        "_inputs",
+        "_protected",
+        "_sample",
+        "_sample_identity",
+        "_values",
+        "_wire_version",
+    )
 
     def __init__(
         self,
@@ -50,6 +69,8 @@ class AdcBoard(CanopenSlave[AdcFaults]):
     ) -> None:
         super().__init__(ADC_NODE, heartbeat_ns, IDENTITY)
         self._protected = rig.adc.protected
+        self._wire_version = rig.bus.wire_version
+        self._sample_identity = data_identity(TPDO1_ID + ADC_NODE, rig.bus.wire_version)
         self._sample = sample
         self._converter = Converter(resolution_bits)
         self._counter = 0
@@ -107,6 +128,7 @@ class AdcBoard(CanopenSlave[AdcFaults]):
             **record(0x2000, Entry(u8, lambda: (self._counter - 1) & 0xFF), Entry(u8, lambda: 0)),
             **record(0x2001, Entry(u8, lambda: self._inputs.last_counter), Entry(u8, lambda: 0)),
             **record(0x6000, Entry(u8, self._inputs.first_byte)),
+            (WIRE_VERSION_INDEX, 0): constant(u8, self._wire_version),
             **record(0x6401, *(Entry(i16, partial(self._value, place)) for place in range(3))),
         }
 
@@ -116,7 +138,8 @@ class AdcBoard(CanopenSlave[AdcFaults]):
         counter = self._counter
         self._counter = (counter + 1) & 0xFF
         values = self._values = (counts(first), counts(second), counts(third))
-        return Frame(TPDO1_ID + ADC_NODE, encode_values(values, counter if self._protected else None))
+        protection = counter if self._protected else None
+        return Frame(TPDO1_ID + ADC_NODE, encode_values(values, protection, self._sample_identity))
 
     def _on_faulty_sync(self, volts: Sequence[float], faults: AdcFaults) -> Frames:
         if faults.counters_to_repeat > 0:

@@ -76,26 +76,40 @@ def crc8(data: bytes) -> int:
     return remainder ^ 0xFF
 
 
-def encode_values(counts: tuple[int, int, int], counter: int | None) -> bytes:
-    """Encode an analogue PDO: 8 bytes with counter and CRC, or 6 bytes if ``counter`` is None."""
+def data_identity(identifier: int, wire_version: int) -> bytes:
+    """Return the bytes that the CRC of frames with ``identifier`` covers before the data.
+
+    In wire version 2 they are the identifier, low byte first. In version 1 there are none.
+    """
+    return b"" if wire_version == 1 else bytes((identifier & 0xFF, identifier >> 8))
+
+
+def encode_values(counts: tuple[int, int, int], counter: int | None, identity: bytes) -> bytes:
+    """Encode an analogue PDO: 8 bytes with counter and CRC, or 6 bytes if ``counter`` is None.
+
+    ``identity`` is the data identity of the PDO (:func:`data_identity`).
+    """
     if counter is None:
         return _VALUES.pack(*counts)
     body = _VALUES_AND_COUNTER.pack(*counts, counter)
-    return body + _BYTES[crc8(body)]
+    return body + _BYTES[crc8(identity + body)]
 
 
 _BYTES = [bytes((value,)) for value in range(256)]
 
 
-def decode_values(data: bytes, protected: bool) -> Values:
-    """Decode an analogue PDO. Raises RejectedPdoError for a wrong length or a wrong CRC."""
+def decode_values(data: bytes, protected: bool, identity: bytes) -> Values:
+    """Decode an analogue PDO. Raises RejectedPdoError for a wrong length or a wrong CRC.
+
+    ``identity`` is the data identity of the PDO (:func:`data_identity`).
+    """
     if not protected:
         if len(data) != 6:
             raise RejectedPdoError(RejectedPdoError.LENGTH)
         return Values(_VALUES.unpack(data), None)
     if len(data) != 8:
         raise RejectedPdoError(RejectedPdoError.LENGTH)
-    if crc8(data[:7]) != data[7]:
+    if crc8(identity + data[:7]) != data[7]:
         raise RejectedPdoError(RejectedPdoError.CRC)
     first, second, third, counter = _VALUES_AND_COUNTER.unpack_from(data)
     return Values((first, second, third), counter)

@@ -37,12 +37,14 @@ from firmware_sim.boards.codec import (
     TPDO1_ID,
     Converter,
     RejectedPdoError,
+    data_identity,
     decode_values,
     encode_values,
 )
 from firmware_sim.boards.faults import DacFaults
 from firmware_sim.boards.object_dictionary import (
     NOT_USED,
+    WIRE_VERSION_INDEX,
     DataType,
     Dictionary,
     Entry,
@@ -70,6 +72,8 @@ class VendorCode(IntEnum):
     CRC = 1
     COUNTER = 2
     RANGE = 3
+    WIRE_VERSION = 4
+    """The command's CRC is right in the other wire version, which is the vendor's value."""
 
 
 class Accepted(NamedTuple):
@@ -99,6 +103,7 @@ class DacBoard(CanopenSlave[DacFaults]):
         "_applies_at_once",
         "_centre_v",
         "_command_due_ns",
+        "_command_identity",
         "_commanded_v",
         "_converter",
         "_counter",
@@ -108,8 +113,10 @@ class DacBoard(CanopenSlave[DacFaults]):
         "_pending_v",
         "_protected",
         "_read_back_counter",
+        "_read_back_identity",
         "_reads_back",
         "_watchdog_ns",
+        "_wire_version",
         "valve_v",
     )
 
@@ -118,6 +125,9 @@ class DacBoard(CanopenSlave[DacFaults]):
     ) -> None:
         super().__init__(DAC_NODE, heartbeat_ns, IDENTITY)
         self._protected = rig.dac.protected
+        self._wire_version = rig.bus.wire_version
+        self._command_identity = data_identity(RPDO1_ID + DAC_NODE, rig.bus.wire_version)
+        self._read_back_identity = data_identity(TPDO1_ID + DAC_NODE, rig.bus.wire_version)
         self._applies_at_once = rig.dac.apply == "at once"
         self._watchdog_ns = nanoseconds(rig.dac.watchdog_timeout_s)
         self._gateway_timeout_ns = nanoseconds(rig.dac.heartbeat_timeout_s)
@@ -174,11 +184,11 @@ class DacBoard(CanopenSlave[DacFaults]):
 
     def _check(self, data: bytes) -> Accepted | Rejected:
         try:
-            counts, counter = decode_values(data, self._protected)
+            counts, counter = decode_values(data, self._protected, self._command_identity)
         except RejectedPdoError as error:
             if error.reason == RejectedPdoError.LENGTH:
                 return Rejected(ErrorCode.PDO_LENGTH, vendor_value=len(data))
-            return Rejected(ErrorCode.PROTOCOL, VendorCode.CRC, data[7])
+            return self._wrong_crc(data)
         if counter is not None and self._counter is not None:
             step = (counter - self._counter) & 0xFF
             if step == 0 or step > MAX_COUNTER_STEP:
@@ -186,6 +196,15 @@ class DacBoard(CanopenSlave[DacFaults]):
         if min(counts) < 0:
             return Rejected(ErrorCode.PROTOCOL, VendorCode.RANGE)
         return Accepted(counts, counter)
+
+    def _wrong_crc(self, data: bytes) -> Rejected:
+        """Return why a command with a wrong CRC is rejected: it is damaged, or of the other wire version."""
+        other = 3 - self._wire_version
+        try:
+            decode_values(data, True, data_identity(RPDO1_ID + DAC_NODE, other))
+        except RejectedPdoError:
+            return Rejected(ErrorCode.PROTOCOL, VendorCode.CRC, data[7])
+        return Rejected(ErrorCode.PROTOCOL, VendorCode.WIRE_VERSION, other)
 
     def _accept(self, counts: tuple[int, int, int], now_ns: int) -> None:
         convert = self._converter.volts
@@ -207,7 +226,7 @@ class DacBoard(CanopenSlave[DacFaults]):
         if self.faults is not None and self.faults.silent_read_back:
             return ()
         counts = (self._pin_count(1), self._pin_count(2), self._pin_count(3))
-        data = encode_values(counts, counter if self._protected else None)
+        data = encode_values(counts, counter if self._protected else None, self._read_back_identity)
         return (Frame(TPDO1_ID + DAC_NODE, data),)
 
     def _pin_count(self, channel: int) -> int:
@@ -233,6 +252,7 @@ class DacBoard(CanopenSlave[DacFaults]):
             **record(0x2001, Entry(u8, lambda: (self._read_back_counter - 1) & 0xFF), Entry(u8, lambda: 0)),
             **record(applied, *(Entry(i16, partial(self._pin_count, c)) for c in channels)),
             **record(commanded, *(Entry(i16, partial(self._commanded_count, c)) for c in channels)),
+            (WIRE_VERSION_INDEX, 0): constant(u8, self._wire_version),
             **record(0x6443, *(constant(u8, 1) for _ in channels)),
             **record(0x6444, *(constant(i32, counts(self._centre_v[c - 1])) for c in channels)),
         }

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from firmware_sim.boards.codec import crc8
+from firmware_sim.boards.codec import crc8, data_identity
 from hil.core.frames import Frame
 from hil.core.rig import Rig
 
@@ -35,6 +35,9 @@ class InputFrames:
         for _, settings in self._inputs:
             self._lengths[settings.frame] = max(self._lengths.get(settings.frame, 0), settings.byte + 1)
         self._protected = {settings.frame: settings.protected for _, settings in self._inputs}
+        self._identities = {
+            identifier: data_identity(identifier, rig.bus.wire_version) for identifier in self._lengths
+        }
         self._counter = 0
 
     @property
@@ -68,7 +71,7 @@ class InputFrames:
             data = self._data(identifier)
             if is_protected:
                 data.append(counter)
-                data.append(crc8(bytes(data)))
+                data.append(crc8(self._identities[identifier] + data))
             frames.append(Frame(identifier, bytes(data)))
         return tuple(frames)
 

@@ -23,6 +23,8 @@ class DataType(IntEnum):
 
 NOT_USED: Final = 0x8000_0000
 """Bit of a PDO's identifier that says that the PDO is not used."""
+WIRE_VERSION_INDEX: Final = 0x2010
+"""Index of the object that says in which wire version the board computes the CRC of its PDOs."""
 
 SIZES: Final[Mapping[DataType, int]] = {
     DataType.INTEGER16: 2,

@@ -6,7 +6,7 @@ from random import Random
 from struct import Struct
 from typing import NamedTuple
 
-from firmware_sim.boards.codec import encode_values
+from firmware_sim.boards.codec import data_identity, encode_values
 from firmware_sim.faults.kinds import (
     FRAME_IDS,
     Alter,
@@ -54,7 +54,9 @@ class Selection:
 class FrameChanger:
     """One active fault of frames."""
 
-    def __init__(self, fault: FrameChange, random: Random) -> None:
+    def __init__(self, fault: FrameChange, random: Random, wire_version: int) -> None:
+        """``wire_version`` is that of the rig, for frames whose CRC must fit again."""
+        self._wire_version = wire_version
         self.identifier = FRAME_IDS[fault.frame]
         self._fault = fault
         self._random = random
@@ -83,7 +85,7 @@ class FrameChanger:
             case Alter():
                 return (Arrival(self._with_altered_value(frame)),)
             case Miscount(step=step):
-                return (Arrival(with_counter_step(frame, step)),)
+                return (Arrival(with_counter_step(frame, step, self._wire_version)),)
 
     def _with_inverted_bit(self, frame: Frame) -> Frame:
         if not frame.data:
@@ -98,7 +100,7 @@ class FrameChanger:
         channel = self._random.randrange(len(counts))
         counts[channel] ^= 1 << self._random.randrange(_VALUE_BITS)
         first, second, third = counts
-        return Frame(frame.id, encode_values((first, second, third), counter_of(frame)))
+        return pdo(frame.id, (first, second, third), counter_of(frame), self._wire_version)
 
 
 def counts_of(frame: Frame) -> tuple[int, int, int]:
@@ -112,9 +114,14 @@ def counter_of(frame: Frame) -> int | None:
     return frame.data[_COUNTER] if len(frame.data) > _COUNTER else None
 
 
-def with_counter_step(frame: Frame, step: int) -> Frame:
+def pdo(identifier: int, counts: tuple[int, int, int], counter: int | None, wire_version: int) -> Frame:
+    """Return an analogue PDO with a correct CRC; without counter and CRC if ``counter`` is None."""
+    return Frame(identifier, encode_values(counts, counter, data_identity(identifier, wire_version)))
+
+
+def with_counter_step(frame: Frame, step: int, wire_version: int) -> Frame:
     """Return a PDO whose counter differs by ``step``, with a correct CRC. A PDO without one is unchanged."""
     counter = counter_of(frame)
     if counter is None:
         return frame
-    return Frame(frame.id, encode_values(counts_of(frame), (counter + step) & 0xFF))
+    return pdo(frame.id, counts_of(frame), (counter + step) & 0xFF, wire_version)

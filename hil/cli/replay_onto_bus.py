@@ -7,11 +7,12 @@ import contextlib
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hil.cli.cut_off import warn_if_cut_off
 from hil.core.errors import HilError, LinkError, RecordingError
+from hil.core.frames import Frame
 from hil.core.rig import Rig, read_rig
 from hil.host.realtime_rights import Rights, real_time_rights
 from hil.links import open_link
@@ -46,7 +47,7 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
             link,
             schedule,
             speed=options.speed or 1.0,
-            change=fresh_samples() if options.fresh or options.answer_sync else lambda frame: frame,
+            change=_change(recording, fresh=options.fresh or options.answer_sync),
             watch=_shown_progress if sys.stderr.isatty() else lambda _time_s, _worst_ms: None,
         )
         failure: LinkError | None = None
@@ -87,6 +88,16 @@ def _rig_of(recording: Recording) -> Rig:
             "only --as boards is possible"
         )
     return read_rig(text, f"{recording.path}: rig.toml")
+
+
+def _change(recording: Recording, *, fresh: bool) -> Callable[[Frame], Frame]:
+    """Return what is done to each frame before it is sent: ``fresh`` samples, in the recording's version."""
+    if not fresh:
+        return lambda frame: frame
+    text = recording.documents.get("rig.toml")
+    return fresh_samples(
+        1 if text is None else read_rig(text, f"{recording.path}: rig.toml").bus.wire_version
+    )
 
 
 def _confirm(bus: str, side: Side, schedule: Schedule, recording: Recording) -> None:

@@ -30,7 +30,7 @@ from hil.core.references import (
 )
 from hil.core.rig import Rig
 from hil.core.setpoints import HOLD, Function, Setpoint
-from hil.core.valve_commands import ValveCommands
+from hil.core.valve_commands import ValveCommands, command_crc
 
 
 class LoopFailure(NamedTuple):
@@ -137,7 +137,7 @@ class AxisLoops:
         )
         self._excited = next((axis.excited for axis in self._axes if isinstance(axis, ExcitedAxis)), None)
         self._valves = ValveCommands(
-            [axis.valve for axis in rig.axes.values()], rig.loop.period_s, rig.dac.protected
+            [axis.valve for axis in rig.axes.values()], rig.loop.period_s, command_crc(rig)
         )
         self._operators = tuple(OperatorSetpoints(axis, rig.loop.period_s) for axis in rig.axes.values())
         self._places = {name: place for place, name in enumerate(rig.axes)}

@@ -52,10 +52,11 @@ class HardwareProtection:
         self._stop = stop
         self._emergency_stop: WatchedInput | None = None
         self._enable: WatchedInput | None = None
+        version = rig.bus.wire_version
         if rig.emergency_stop is not None:
-            self._emergency_stop = WatchedInput("emergency_stop", rig.emergency_stop, PRESSED)
+            self._emergency_stop = WatchedInput("emergency_stop", rig.emergency_stop, version, PRESSED)
         if rig.enable is not None:
-            self._enable = WatchedInput("enable", rig.enable, RELEASED)
+            self._enable = WatchedInput("enable", rig.enable, version, RELEASED)
         self._inputs = [contact for contact in (self._emergency_stop, self._enable) if contact is not None]
         self._read_back = ValveReadBack(rig) if rig.dac.read_back else None
         self.has_inputs = bool(self._inputs)

@@ -77,6 +77,12 @@ class Bus(Document, frozen=True):
     """The bus of the boards. ``sim`` starts simulated boards in a process of their own."""
 
     channel: str = "sim"
+    wire_version: Literal[1, 2] = 1
+    """Version of the protected frames. In version 2, their CRC covers the frame's identifier too.
+
+    A rig file without this key is older than version 2, so the default is 1. Modules without counter and CRC
+    (``protected = false``) send the same frames in both versions.
+    """
 
 
 class GatewaySettings(Document, frozen=True):

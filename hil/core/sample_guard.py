@@ -35,7 +35,7 @@ from hil.core.sync_matching import (
     TooOld,
 )
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
+from hil.core.wire.frame_crc import frame_crc
 
 SECOND_NODE = "another node sends the same identifier; check the node ids"
 
@@ -78,6 +78,7 @@ class SampleGuard:
 
     def __init__(self, rig: Rig) -> None:
         self._protected = rig.adc.protected
+        self._crc = frame_crc(codec.TPDO1_ADC, rig.bus.wire_version, protected=self._protected)
         self._length = codec.TPDO1_ADC_LENGTH if self._protected else codec.TPDO1_ADC_LENGTH - 2
         self._period_ns = rig.loop.period_ns
         self._places = tuple(axis.potentiometer.channel - 1 for axis in rig.axes.values())
@@ -152,11 +153,8 @@ class SampleGuard:
     def _check_integrity(self, data: bytes) -> Rejected | None:
         if len(data) != self._length:
             return Rejected(f"TPDO1_ADC has {len(data)} bytes, not {self._length} (rig: adc.protected)")
-        if self._protected:
-            crc = crc8_j1850(data[:7])
-            if crc != data[7]:
-                return Rejected(f"TPDO1_ADC: CRC 0x{data[7]:02X}, computed 0x{crc:02X}")
-        return None
+        problem = None if self._crc is None else self._crc.problem(data)
+        return None if problem is None else Rejected(f"TPDO1_ADC: {problem}")
 
     def _counter_step(self, data: bytes) -> int:
         """Return the counter difference to the frame before, modulo 256; 1 if there is nothing to compare."""

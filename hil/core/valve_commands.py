@@ -15,9 +15,9 @@ from collections import deque
 from collections.abc import Sequence
 
 from hil.core.frames import Frame
-from hil.core.rig import VOLTS_PER_COUNT, Valve
+from hil.core.rig import VOLTS_PER_COUNT, Rig, Valve
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
+from hil.core.wire.frame_crc import FrameCrc, frame_crc
 
 UNUSED_CHANNEL_V = 5.0
 """Voltage of a channel without an axis, in volts."""
@@ -26,11 +26,16 @@ KEPT_COMMANDS = 4
 two commands, and their refusals are reported before the next call."""
 
 
+def command_crc(rig: Rig) -> FrameCrc | None:
+    """Return what makes the CRC of a rig's command frames; None if its valve board has none."""
+    return frame_crc(codec.RPDO1_DAC, rig.bus.wire_version, protected=rig.dac.protected)
+
+
 class ValveCommands:
     """The commands of all valves, in the order given, and the frame that carries them."""
 
-    def __init__(self, valves: Sequence[Valve], period_s: float, protected: bool) -> None:
-        """``protected`` adds counter and CRC to the frame."""
+    def __init__(self, valves: Sequence[Valve], period_s: float, crc: FrameCrc | None) -> None:
+        """``crc`` makes the frame's CRC. None: the frame has neither counter nor CRC."""
         self._centres_v = tuple(valve.centre_v for valve in valves)
         self._rates_v_s = tuple(valve.max_rate_v_s for valve in valves)
         self._period_s = period_s
@@ -38,7 +43,7 @@ class ValveCommands:
         self._min_v = tuple(math.ceil(v.min_v / VOLTS_PER_COUNT) * VOLTS_PER_COUNT for v in valves)
         self._max_v = tuple(math.floor(v.max_v / VOLTS_PER_COUNT) * VOLTS_PER_COUNT for v in valves)
         self._channels = tuple(valve.channel - 1 for valve in valves)
-        self._protected = protected
+        self._crc = crc
         self._counter = 0
         self.volts = list(self._centres_v)
         """Commanded valve voltages in volts, after the limits. The rate limits start from them."""
@@ -101,10 +106,10 @@ class ValveCommands:
         counter = self._counter
         self._counter = (counter + 1) & 0xFF
         data = codec.encode_rpdo1_dac(channels_v[0], channels_v[1], channels_v[2], counter, 0)
-        if self._protected:
-            frame = Frame(codec.RPDO1_DAC, data[:7] + bytes((crc8_j1850(data[:7]),)))
-        else:
+        if self._crc is None:
             frame = Frame(codec.RPDO1_DAC, data[:6])
+        else:
+            frame = Frame(codec.RPDO1_DAC, self._crc.append(data[:7]))
         self._kept.append((frame, self.volts.copy()))
         return frame
 

@@ -14,7 +14,7 @@ from hil.core.rig import Rig
 from hil.core.surplus_answers import SURPLUS_PERIODS_LIMIT, SurplusAnswers
 from hil.core.sync_matching import MAX_COUNTER_STEP
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
+from hil.core.wire.frame_crc import frame_crc
 
 NO_FRAME_YET = "no read-back of the valves (TPDO1_DAC) has arrived (rig: dac.read_back)"
 
@@ -25,6 +25,7 @@ class ValveReadBack:
     def __init__(self, rig: Rig) -> None:
         self._valves = [(name, axis.valve.channel) for name, axis in rig.axes.items()]
         self._protected = rig.dac.protected
+        self._crc = frame_crc(codec.TPDO1_DAC, rig.bus.wire_version, protected=self._protected)
         self._length = codec.TPDO1_DAC_LENGTH if self._protected else codec.TPDO1_DAC_LENGTH - 2
         self._tolerance_v = rig.dac.read_back_tolerance_v
         self._max_periods = rig.dac.read_back_periods
@@ -80,12 +81,8 @@ class ValveReadBack:
     def _damage(self, data: bytes) -> str | None:
         if len(data) != self._length:
             return f"TPDO1_DAC has {len(data)} bytes, not {self._length} (rig: dac.protected)"
-        if not self._protected:
-            return None
-        crc = crc8_j1850(data[:7])
-        if crc != data[7]:
-            return f"TPDO1_DAC: CRC 0x{data[7]:02X}, computed 0x{crc:02X}"
-        return None
+        problem = None if self._crc is None else self._crc.problem(data)
+        return None if problem is None else f"TPDO1_DAC: {problem}"
 
     def _repetition(self, data: bytes) -> str | None:
         """Return why a frame is not newer than the one before, or None. Its counter is remembered."""

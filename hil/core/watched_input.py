@@ -9,17 +9,18 @@ from __future__ import annotations
 from hil.core.input_settings import PROTECTION_BYTES, InputSettings
 from hil.core.rig import nanoseconds
 from hil.core.sync_matching import MAX_COUNTER_STEP
-from hil.core.wire.crc8 import crc8_j1850
+from hil.core.wire.frame_crc import frame_crc
 
 
 class WatchedInput:
     """One contact. Times are monotonic nanoseconds."""
 
-    def __init__(self, key: str, settings: InputSettings, open_means: str) -> None:
+    def __init__(self, key: str, settings: InputSettings, wire_version: int, open_means: str) -> None:
         """``key`` is its table in the rig file. ``open_means`` says for messages why it may be open."""
         self._key = key
         self._settings = settings
         self._open_means = open_means
+        self._crc = frame_crc(settings.frame, wire_version, protected=settings.protected)
         self._timeout_ns = nanoseconds(settings.timeout_s)
         self._mask = 1 << settings.bit
         self._min_length = settings.byte + 1 + (PROTECTION_BYTES if settings.protected else 0)
@@ -83,11 +84,8 @@ class WatchedInput:
                 f"frame 0x{self.identifier:03X} has {len(data)} bytes, and needs {self._min_length} "
                 f"(rig: {self._key})"
             )
-        if self._settings.protected:
-            crc = crc8_j1850(data[:-1])
-            if crc != data[-1]:
-                return f"frame 0x{self.identifier:03X}: CRC 0x{data[-1]:02X}, computed 0x{crc:02X}"
-        return None
+        problem = None if self._crc is None else self._crc.problem(data)
+        return None if problem is None else f"frame 0x{self.identifier:03X}: {problem}"
 
     def _repetition(self, data: bytes) -> str | None:
         """Return why a frame is not newer than the one before, or None. Its counter is remembered."""

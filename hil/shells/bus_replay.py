@@ -21,9 +21,9 @@ from hil.core.errors import LinkError, RecordingError
 from hil.core.foreign_frames import COMMANDS_TO_BOARDS, OWN_IDENTIFIERS
 from hil.core.frames import Frame
 from hil.core.rig import Rig
-from hil.core.valve_commands import ValveCommands
+from hil.core.valve_commands import ValveCommands, command_crc
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
+from hil.core.wire.frame_crc import FrameCrc
 from hil.links.link import Received
 from hil.recording.reader import Recording
 from hil.recording.tables import FrameTable
@@ -136,17 +136,17 @@ def _nmt_commands(table: FrameTable) -> list[Frame]:
     return sorted(rows, key=rows.__getitem__)
 
 
-def fresh_samples() -> Callable[[Frame], Frame]:
+def fresh_samples(wire_version: int) -> Callable[[Frame], Frame]:
     """Return a function that gives each sample (TPDO1) the next counter and its CRC; other frames pass."""
     counter = -1
+    crc = FrameCrc(codec.TPDO1_ADC, wire_version)
 
     def fresh(frame: Frame) -> Frame:
         nonlocal counter
         if frame.id != codec.TPDO1_ADC or frame.is_extended or len(frame.data) != codec.TPDO1_ADC_LENGTH:
             return frame
         counter = (counter + 1) & 0xFF
-        data = frame.data[:6] + bytes((counter,))
-        return Frame(frame.id, data + bytes((crc8_j1850(data),)))
+        return Frame(frame.id, crc.append(frame.data[:6] + bytes((counter,))))
 
     return fresh
 
@@ -243,7 +243,7 @@ class BusReplay:
     def centre(self, rig: Rig) -> int:
         """Send the command that centres the valves, with SYNC to apply it; return how often it was sent."""
         valves = ValveCommands(
-            [axis.valve for axis in rig.axes.values()], rig.loop.period_s, rig.dac.protected
+            [axis.valve for axis in rig.axes.values()], rig.loop.period_s, command_crc(rig)
         )
         if self.last_counter is not None:
             for _ in range(self.last_counter + 1):

@@ -17,7 +17,7 @@ from hil.core.controller_file import ControllerFile, check_controller_fits
 from hil.core.errors import DocumentError, RecordingError
 from hil.core.rig import VOLTS_PER_COUNT, Rig
 from hil.core.suggestions import did_you_mean
-from hil.core.valve_commands import ValveCommands
+from hil.core.valve_commands import ValveCommands, command_crc
 from hil.recording.reader import Recording
 from hil.recording.tables import AxisTable
 from hil.shells.replay import setup_of
@@ -123,7 +123,7 @@ def _commands(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the outputs and the commands of ``law``, as the core's loop computes them."""
     period_s = rig.loop.period_s
-    valves = ValveCommands([rig.axes[name].valve], period_s, rig.dac.protected)
+    valves = ValveCommands([rig.axes[name].valve], period_s, command_crc(rig))
     outputs_v, commands_v = [], []
     stretch = last_ns = -1
     rows = zip(table.setpoint.tolist(), table.position.tolist(), received_ns, stretches, strict=True)

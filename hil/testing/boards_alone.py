@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_sim.boards.codec import DAC_NODE, NMT_ID, RPDO1_ID, SYNC_ID, encode_values
+from firmware_sim.boards.codec import DAC_NODE, NMT_ID, RPDO1_ID, SYNC_ID
+from firmware_sim.faults.frame_faults import pdo
 from firmware_sim.faulty_rig import FaultyRig
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.frames import Frame
@@ -79,7 +80,7 @@ class BoardsAlone:
         first, second, third = (round(value * _COUNTS_PER_V) for value in volts)
         counter = self._counter if self.rig.dac.protected else None
         self._counter = (self._counter + 1) & 0xFF
-        return self.send(Frame(RPDO1_ID + DAC_NODE, encode_values((first, second, third), counter)))
+        return self.send(pdo(RPDO1_ID + DAC_NODE, (first, second, third), counter, self.rig.bus.wire_version))
 
     def wait(self, duration_s: float) -> list[Frame]:
         """Let time pass. Returns the frames that the boards send meanwhile."""

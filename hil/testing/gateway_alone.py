@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from firmware_sim.boards.codec import ADC_NODE, DAC_NODE, HEARTBEAT_ID, TPDO1_ID, encode_values
+from firmware_sim.boards.codec import ADC_NODE, DAC_NODE, HEARTBEAT_ID, TPDO1_ID
+from firmware_sim.faults.frame_faults import pdo
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import Cycle, LogEntry, Output
@@ -80,7 +81,7 @@ class GatewayAlone:
         first, second, third = (round(value * _COUNTS_PER_V) for value in volts)
         counter = self._counter if self.rig.adc.protected else None
         self._counter = (self._counter + 1) & 0xFF
-        return Frame(TPDO1_ID + ADC_NODE, encode_values((first, second, third), counter))
+        return pdo(TPDO1_ID + ADC_NODE, (first, second, third), counter, self.rig.bus.wire_version)
 
     def heartbeats(self) -> list[Frame]:
         """Let both boards' heartbeats arrive, in state operational."""

@@ -14,8 +14,8 @@ from hil.core.board_watch import ADC_NODE, DAC_NODE, NmtState, describe_emergenc
 from hil.core.frames import Frame
 from hil.core.rig import Rig
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
 from hil.core.wire.frame_bits import bits_on_wire
+from hil.core.wire.frame_crc import frame_crc, version_hint
 
 WINDOW_NS = 1_000_000_000
 """Time over which rates and the load are counted."""
@@ -189,6 +189,9 @@ class BusWatch:
         self._bits_in_window = 0
         self._frame_count = self._error_frames = self._lost = self._damaged = 0
         self._last_error_frame = ""
+        self._crc = frame_crc(codec.TPDO1_ADC, rig.bus.wire_version, protected=rig.adc.protected)
+        self._other_version: int | None = None
+        """Wire version in which the CRC of the last sample is right, if it is not that of the rig file."""
         self._counter: int | None = None
         self._sampled: deque[tuple[int, tuple[float, ...]]] = deque()
         """Times and potentiometer voltages of the last 0.1 s, by channel."""
@@ -270,9 +273,14 @@ class BusWatch:
         self._samples.count(now_ns)
         is_protected = self._rig.adc.protected
         length = codec.TPDO1_ADC_LENGTH if is_protected else codec.TPDO1_ADC_LENGTH - 2
-        if len(data) != length or (is_protected and crc8_j1850(data[:7]) != data[7]):
+        if len(data) != length:
             self._damaged += 1
             return
+        if self._crc is not None and not self._crc.is_right(data):
+            self._damaged += 1
+            self._other_version = self._crc.other_version(data)
+            return
+        self._other_version = None
         sample = codec.decode_tpdo1_adc(data if is_protected else data + b"\0\0")
         if is_protected:
             if self._counter is not None:
@@ -315,6 +323,9 @@ class BusWatch:
             for name, board in self._boards.items()
             if board.state(now_ns) == "silent"
         ]
+        if self._other_version is not None:
+            hint = version_hint(self._other_version, self._rig.bus.wire_version)
+            hints.append(f"the CRC of the samples is wrong: {hint}")
         if self._samples.is_silent(now_ns):
             if self._syncs.is_silent(now_ns) and self._own_syncs.is_silent(now_ns):
                 hints.append("no SYNC, so the ADC board sends no samples: start a gateway, or use --sync")

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.boards.codec import decode_values
+from firmware_sim.boards.codec import data_identity, decode_values
 from hil.core.life_cycle import LifeCycleState
 from hil.core.requests import SetpointRequest
 from hil.core.rig import read_rig
@@ -120,8 +120,9 @@ def commands_outside_limits(path: Path) -> int:
     recording = Recording(path)
     rig = read_rig(recording.attachments["rig.toml"].decode(), "rig.toml")
     valves = [axis.valve for axis in rig.axes.values()]
+    identity = data_identity(0x220, rig.bus.wire_version)
     volts = [
-        [10.0 * counts / 2**15 for counts in decode_values(entry.frame.data, protected=True).counts]
+        [10.0 * counts / 2**15 for counts in decode_values(entry.frame.data, True, identity).counts]
         for entry in recording.entries()
         if isinstance(entry, FrameSent) and entry.frame.id == 0x220
     ]

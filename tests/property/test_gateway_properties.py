@@ -36,6 +36,7 @@ from support.protected_rigs import (
     protected_rig,
     read_back_frame,
 )
+from support.wire import frame_crc
 
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from hil.core.controller_file import Law, PidLaw, TransferFunctionLaw
@@ -48,7 +49,6 @@ from hil.core.requests import ControllerRequest, JogRequest, Request, SetpointRe
 from hil.core.rig import Rig
 from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS, UNCOUNTED_ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
 
 LAWS: tuple[Law, ...] = (
     PidLaw(kp=20.0, ki=50.0, kd=1.0, tau_d=0.02),
@@ -369,7 +369,7 @@ class Subject:
         assert volts == [5.0, 5.0, 5.0]  # channels without an axis
         if self.rig.dac.protected:
             assert frame.data[6] == self.rpdo_counter & 0xFF
-            assert frame.data[7] == crc8_j1850(frame.data[:7])
+            assert frame.data[7] == frame_crc(0x220, frame.data[:7])
         self.rpdo_counter += 1
 
 

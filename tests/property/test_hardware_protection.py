@@ -43,7 +43,7 @@ class Checker:
 
     def to_gateway(self, frame: Frame, now_ns: int) -> None:
         data = frame.data
-        if frame.id != 0x290 or len(data) != 3 or crc8(data[:2]) != data[2]:
+        if frame.id != 0x290 or len(data) != 3 or crc8(b"\x90\x02" + data[:2]) != data[2]:
             return
         if not data[0] & 1:
             self.closed_ns = None

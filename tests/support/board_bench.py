@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from firmware_sim.boards.codec import encode_values
+from firmware_sim.boards.codec import Values, data_identity, decode_values, encode_values
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.frames import Frame
 from hil.core.rig import DacSettings, Rig
@@ -49,7 +49,17 @@ def nmt(command: int, node: int = 0) -> Frame:
 
 def command(volts: Sequence[float], counter: int) -> Frame:
     first, second, third = (int(v * 32768 / 10) for v in volts)
-    return Frame(0x220, encode_values((first, second, third), counter))
+    return pdo(0x220, (first, second, third), counter)
+
+
+def pdo(identifier: int, counts: tuple[int, int, int], counter: int | None, wire_version: int = 2) -> Frame:
+    """An analogue PDO as the boards encode it."""
+    return Frame(identifier, encode_values(counts, counter, data_identity(identifier, wire_version)))
+
+
+def decoded(frame: Frame, *, protected: bool = True, wire_version: int = 2) -> Values:
+    """An analogue PDO as the boards decode it."""
+    return decode_values(frame.data, protected, data_identity(frame.id, wire_version))
 
 
 def gateway_heartbeat() -> Frame:

@@ -28,6 +28,7 @@ from firmware_sim import cli
 from firmware_sim.plants.linear_plant import LinearPlant
 from support.constants import PERIOD_S
 from support.shipped_rig import SHIPPED_RIG
+from support.wire import frame_crc
 
 LIMIT_S = 20
 CENTRE = 16384
@@ -35,15 +36,6 @@ VOLTS = 10 / 32768
 
 ANALOGUE_INPUT, ANALOGUE_OUTPUT = 0x6401, 0x6411
 COUNTER_AND_CRC = 0x2000
-
-
-def crc8_j1850(data: bytes) -> int:
-    remainder = 0xFF
-    for byte in data:
-        remainder ^= byte
-        for _ in range(8):
-            remainder = (remainder << 1 ^ (0x1D if remainder & 0x80 else 0)) & 0xFF
-    return remainder ^ 0xFF
 
 
 def record(name: str, index: int, types: list[int], values: list[int]) -> ODRecord:
@@ -133,7 +125,7 @@ class Master:
             rpdo[channel].raw = count
         self.counter = (self.counter + 1) & 0xFF
         rpdo[3].raw = self.counter
-        rpdo[4].raw = crc8_j1850(rpdo.data[:7]) ^ crc_error
+        rpdo[4].raw = frame_crc(0x220, bytes(rpdo.data[:7])) ^ crc_error
         rpdo.transmit()
 
     def potentiometer_v(self, channel: int) -> float:
@@ -196,7 +188,7 @@ class CanopenMasterContract:
         samples = [master.samples.get(timeout=LIMIT_S)[1] for _ in range(50)]
         master.network.sync.stop()
         assert [sample[6] for sample in samples] == list(range(50))
-        assert [sample[7] for sample in samples] == [crc8_j1850(sample[:7]) for sample in samples]
+        assert [sample[7] for sample in samples] == [frame_crc(0x190, sample[:7]) for sample in samples]
 
     def test_a_command_moves_the_axis_as_the_model_predicts(self, master: Master) -> None:
         """0.3 V for 0.4 s, from rest. The other axes do not move."""

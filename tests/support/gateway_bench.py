@@ -26,8 +26,8 @@ from hil.core.rig import Rig, read_rig
 from hil.core.setpoints import parse_setpoint
 from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
 from support.constants import PERIOD_S
+from support.wire import protected as protected_frame
 
 EXAMPLE_RIG = (files("hil.shipped") / "rig.toml").read_text()
 
@@ -128,7 +128,7 @@ def sample_frame(volts: Sequence[float], counter: int, *, protected: bool = True
     data = codec.encode_tpdo1_adc(first, second, third, counter & 0xFF, 0)
     if not protected:
         return Frame(codec.TPDO1_ADC, data[:6])
-    return Frame(codec.TPDO1_ADC, data[:7] + bytes((crc8_j1850(data[:7]),)))
+    return protected_frame(codec.TPDO1_ADC, data[:7])
 
 
 def emergency(identifier: int, code: int, register: int = 0x11) -> Frame:
@@ -262,10 +262,14 @@ class RigBench:
         setpoints: Mapping[str, str] | str = "step:0.05@0",
         plant: Plant | None = None,
         resolution_bits: int = 12,
+        boards_rig: Rig | None = None,
     ) -> None:
+        """``boards_rig`` is the rig file of the boards, if it is not the gateway's."""
         self.rig = rig
         self.now_ns = START_NS
-        self.boards = SimulatedRig(rig, plant or LinearPlant(rig), resolution_bits=resolution_bits)
+        self.boards = SimulatedRig(
+            boards_rig or rig, plant or LinearPlant(rig), resolution_bits=resolution_bits
+        )
         self.gateway = make_gateway(rig, laws, setpoints, START_NS + rig.loop.period_ns)
         self.transcript = Transcript()
         self.pass_to_gateway: Callable[[Frame], Sequence[Frame]] = lambda frame: (frame,)

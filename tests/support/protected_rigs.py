@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from hil.core.frames import Frame
 from hil.core.rig import Rig, read_rig
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
 from support.gateway_bench import AXES, rig_text
+from support.wire import frame_crc
+from support.wire import protected as protected_frame
 
 INPUTS_ID = 0x290
 TIMEOUT_NS = 50_000_000
@@ -42,7 +43,7 @@ def protected_rig(
 def inputs_frame(bits: int, counter: int, crc_error: int = 0) -> Frame:
     """A TPDO2_ADC frame."""
     data = bytes((bits, counter & 0xFF))
-    return Frame(INPUTS_ID, data + bytes((crc8_j1850(data) ^ crc_error,)))
+    return Frame(INPUTS_ID, data + bytes((frame_crc(INPUTS_ID, data) ^ crc_error,)))
 
 
 def read_back_frame(volts: Sequence[float], counter: int, protected: bool = True) -> Frame:
@@ -51,4 +52,4 @@ def read_back_frame(volts: Sequence[float], counter: int, protected: bool = True
     data = codec.encode_tpdo1_dac(first, second, third, counter & 0xFF, 0)
     if not protected:
         return Frame(codec.TPDO1_DAC, data[:6])
-    return Frame(codec.TPDO1_DAC, data[:7] + bytes((crc8_j1850(data[:7]),)))
+    return protected_frame(codec.TPDO1_DAC, data[:7])

@@ -20,7 +20,7 @@ import pytest
 from support.constants import CENTRED, PERIOD_NS, PERIOD_S
 from support.patient_rig import STALE_PERIODS, WATCHDOG_S, write_patient_rig
 
-from firmware_sim.boards.codec import Converter, decode_values
+from firmware_sim.boards.codec import Converter, data_identity, decode_values
 from firmware_sim.plants.linear_plant import LinearPlant
 from hil.core.board_watch import ADC_NODE, NMT_START
 from hil.core.foreign_frames import OWN_IDENTIFIERS
@@ -154,7 +154,8 @@ def largest_error_v(rig: str, candump: Candump) -> float:
     expected: deque[Sequence[float]] = deque()
     for at_s, identifier, data in candump.frames:
         if identifier == codec.RPDO1_DAC:
-            first, second, third = map(converter.volts, decode_values(data, True).counts)
+            counts = decode_values(data, True, data_identity(identifier, 2)).counts
+            first, second, third = map(converter.volts, counts)
             pending = (first, second, third)
         elif identifier == codec.SYNC:
             plant.advance(round((at_s - before_s) * 1e9), applied)

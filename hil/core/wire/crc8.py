@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+START = 0xFF
+"""Register before the first byte."""
+
 
 def _table() -> bytes:
     entries = []
@@ -16,9 +19,20 @@ def _table() -> bytes:
 _TABLE = _table()
 
 
-def crc8_j1850(data: bytes) -> int:
-    """Return the CRC of ``data``. The check value, for ``b"123456789"``, is 0x4B."""
-    register = 0xFF
+def crc8_register(data: bytes, start: int = START) -> int:
+    """Return the register after ``data``. ``start`` is the register after the bytes before them."""
+    register = start
+    for byte in data:
+        register = _TABLE[register ^ byte]
+    return register
+
+
+def crc8_j1850(data: bytes, start: int = START) -> int:
+    """Return the CRC of ``data``. The check value, for ``b"123456789"``, is 0x4B.
+
+    ``start`` is the register after bytes before ``data`` that the CRC covers too (:func:`crc8_register`).
+    """
+    register = start
     for byte in data:
         register = _TABLE[register ^ byte]
     return register ^ 0xFF

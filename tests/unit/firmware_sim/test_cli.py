@@ -15,11 +15,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from support.board_bench import decoded
 from support.shipped_rig import RIG_TEXT
 
 import hil
 from firmware_sim import cli
-from firmware_sim.boards.codec import decode_values
 from hil.core.errors import HilError, LinkError
 from hil.core.frames import Frame
 from hil.links import Link, Received, open_link
@@ -70,7 +70,7 @@ def exchange_a_sample(link: Link) -> None:
     link.send(Frame(0x000, b"\x01\x00"))
     link.send(Frame(0x080))
     sample = next_frame(link, 0x190)
-    assert decode_values(sample.data, protected=True) == ((16384, 16384, 16384), 0)
+    assert decoded(sample) == ((16384, 16384, 16384), 0)
     while next_frame(link, 0x720).data != b"\x05":
         pass
 

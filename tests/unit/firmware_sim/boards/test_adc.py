@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import msgspec
-from support.board_bench import RESET_NODE, RIG, START, STOP, SYNC, Bench, emergency, nmt
+from support.board_bench import RESET_NODE, RIG, START, STOP, SYNC, Bench, decoded, emergency, nmt
 
-from firmware_sim.boards.codec import decode_values
 from hil.core.frames import Frame
 
 
@@ -22,14 +21,14 @@ def test_samples_are_left_adjusted_12_bit_codes() -> None:
     bench = Bench().started()
     bench.plant.volts = [0.0, 5.0, 10.0]
     (frame,) = bench.give(SYNC)
-    assert decode_values(frame.data, protected=True) == ((0, 2048 << 3, 4095 << 3), 0)
+    assert decoded(frame) == ((0, 2048 << 3, 4095 << 3), 0)
 
 
 def test_the_constructor_sets_the_resolution() -> None:
     bench = Bench(resolution_bits=15).started()
     bench.plant.volts = [10.0 / 32768, 5.0, 10.0]
     (frame,) = bench.give(SYNC)
-    assert decode_values(frame.data, protected=True).counts == (1, 16384, 32767)
+    assert decoded(frame).counts == (1, 16384, 32767)
 
 
 def test_the_counter_rolls_over_and_restarts_after_a_reset() -> None:
@@ -44,7 +43,7 @@ def test_the_counter_rolls_over_and_restarts_after_a_reset() -> None:
 def test_unprotected_samples_are_six_bytes() -> None:
     rig = msgspec.structs.replace(RIG, adc=msgspec.structs.replace(RIG.adc, protected=False))
     (frame,) = Bench(rig).started().give(SYNC)
-    assert decode_values(frame.data, protected=False).counts == (16384, 16384, 16384)
+    assert decoded(frame, protected=False).counts == (16384, 16384, 16384)
 
 
 def test_a_sync_with_data_is_rejected_with_emcy_8240_until_a_valid_one_arrives() -> None:

@@ -13,6 +13,7 @@ from firmware_sim.boards import codec
 
 DATABASE = cantools.database.load_string((files("hil.core.wire") / "arm.dbc").read_text(), "dbc")
 
+SAMPLE, COMMAND = codec.data_identity(0x190, 2), codec.data_identity(0x220, 2)
 counts16 = st.integers(0, 0x7FFF)
 three_counts = st.tuples(counts16, counts16, counts16)
 bytes8 = st.integers(0, 0xFF)
@@ -38,11 +39,11 @@ def test_crc_matches_the_published_vectors(data: str, expected: int) -> None:
 
 @given(three_counts, bytes8)
 def test_samples_read_by_cantools(counts: tuple[int, int, int], counter: int) -> None:
-    data = codec.encode_values(counts, counter)
+    data = codec.encode_values(counts, counter, SAMPLE)
     read = DATABASE.get_message_by_name("TPDO1_ADC").decode(data)
     assert [read[f"Potentiometer{n}"] for n in (1, 2, 3)] == [c * 10 / 32768 for c in counts]
     assert read["Counter"] == counter
-    assert read["Crc8"] == codec.crc8(data[:7])
+    assert read["Crc8"] == codec.crc8(b"\x90\x01" + data[:7])
 
 
 @given(st.tuples(*[st.integers(-0x8000, 0x7FFF)] * 3), bytes8)
@@ -50,23 +51,23 @@ def test_commands_written_by_cantools(counts: tuple[int, int, int], counter: int
     message = DATABASE.get_message_by_name("RPDO1_DAC")
     signals = {f"Valve{n}": count for n, count in enumerate(counts, 1)} | {"Counter": counter}
     body = message.encode(signals | {"Crc8": 0}, scaling=False, strict=False)[:7]
-    data = message.encode(signals | {"Crc8": codec.crc8(body)}, scaling=False, strict=False)
-    assert codec.decode_values(data, protected=True) == (counts, counter)
+    data = message.encode(signals | {"Crc8": codec.crc8(b"\x20\x02" + body)}, scaling=False, strict=False)
+    assert codec.decode_values(data, True, COMMAND) == (counts, counter)
 
 
 @given(three_counts)
 def test_unprotected_values_are_the_first_six_bytes(counts: tuple[int, int, int]) -> None:
-    data = codec.encode_values(counts, None)
-    assert data == codec.encode_values(counts, 0)[:6]
-    assert codec.decode_values(data, protected=False) == (counts, None)
+    data = codec.encode_values(counts, None, COMMAND)
+    assert data == codec.encode_values(counts, 0, COMMAND)[:6]
+    assert codec.decode_values(data, False, COMMAND) == (counts, None)
 
 
 @given(three_counts, bytes8, st.integers(0, 63))
 def test_the_crc_detects_every_single_bit_error(counts: tuple[int, int, int], counter: int, bit: int) -> None:
-    corrupt = bytearray(codec.encode_values(counts, counter))
+    corrupt = bytearray(codec.encode_values(counts, counter, COMMAND))
     corrupt[bit // 8] ^= 1 << bit % 8
     with pytest.raises(codec.RejectedPdoError) as caught:
-        codec.decode_values(bytes(corrupt), protected=True)
+        codec.decode_values(bytes(corrupt), True, COMMAND)
     assert caught.value.reason == codec.RejectedPdoError.CRC
 
 
@@ -74,7 +75,7 @@ def test_the_crc_detects_every_single_bit_error(counts: tuple[int, int, int], co
 def test_every_other_length_is_rejected(protected: bool, length: int) -> None:
     for wrong in set(range(9)) - {length}:
         with pytest.raises(codec.RejectedPdoError) as caught:
-            codec.decode_values(bytes(wrong), protected)
+            codec.decode_values(bytes(wrong), protected, COMMAND)
         assert caught.value.reason == codec.RejectedPdoError.LENGTH
 
 

@@ -18,11 +18,11 @@ from support.board_bench import (
     emergency,
     gateway_heartbeat,
     nmt,
+    pdo,
     with_dac,
 )
 from support.constants import CENTRED, PERIOD_NS
 
-from firmware_sim.boards.codec import encode_values
 from hil.core.frames import Frame
 
 
@@ -72,9 +72,9 @@ class TestCommands:
 
     def test_bits_below_the_resolution_are_ignored(self) -> None:
         bench = Bench(with_dac(apply="at once")).started()
-        bench.give(Frame(0x220, encode_values((16384 + 7, 16384 + 8, 32767), 0)))
+        bench.give(pdo(0x220, (16384 + 7, 16384 + 8, 32767), 0))
         assert bench.valve_v == (5.0, 5.0 + 10 / 4096, 10 * 4095 / 4096)
-        bench.give(Frame(0x220, encode_values((0, 7, 8), 1)))
+        bench.give(pdo(0x220, (0, 7, 8), 1))
         assert bench.valve_v == (0.0, 0.0, 10 / 4096)
 
     def test_a_board_that_is_not_operational_ignores_commands(self) -> None:
@@ -104,7 +104,7 @@ class TestCommands:
             (command((6, 6, 6), 0), 0x8200),
             (command((6, 6, 6), 255), 0x8200),
             (command((6, 6, 6), 128), 0x8200),
-            (Frame(0x220, encode_values((20000, -1, 20000), 1)), 0x8200),
+            (pdo(0x220, (20000, -1, 20000), 1), 0x8200),
         ],
         ids=[
             "7 bytes",
@@ -136,7 +136,7 @@ class TestCommands:
 
     def test_unprotected_commands_have_six_bytes_and_may_repeat(self) -> None:
         bench = Bench(with_dac(apply="at once", protected=False)).started()
-        good = Frame(0x220, encode_values((20480, 16384, 16384), None))
+        good = pdo(0x220, (20480, 16384, 16384), None)
         assert bench.give(good) == bench.give(good) == []
         assert bench.valve_v == (6.25, 5.0, 5.0)
         assert [emergency(frame)[1] for frame in bench.give(command((6, 6, 6), 1))] == [0x8210]

@@ -9,13 +9,14 @@ from support.board_bench import (
     STOP,
     SYNC,
     Bench,
+    decoded,
     emergency,
     nmt,
     with_dac,
 )
 from support.constants import CENTRED, PERIOD_NS
 
-from firmware_sim.boards.codec import RejectedPdoError, decode_values
+from firmware_sim.boards.codec import RejectedPdoError
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from hil.core.frames import Frame
 
@@ -36,10 +37,10 @@ def test_a_frozen_channel_reads_its_voltage_until_the_board_is_repaired() -> Non
     bench.plant.volts = [1.25, 2.5, 5.0]
     bench.rig.adc.faults = AdcFaults(frozen_v={2: 7.5})
     (frame,) = samples(bench, 1)
-    assert decode_values(frame.data, protected=True).counts == (4096, 24576, 16384)
+    assert decoded(frame).counts == (4096, 24576, 16384)
     bench.rig.adc.faults = None
     (frame,) = samples(bench, 1)
-    assert decode_values(frame.data, protected=True).counts == (4096, 8192, 16384)
+    assert decoded(frame).counts == (4096, 8192, 16384)
 
 
 def test_corrupt_crcs() -> None:
@@ -48,8 +49,8 @@ def test_corrupt_crcs() -> None:
     bad, worse, good = samples(bench, 3)
     for frame in (bad, worse):
         with pytest.raises(RejectedPdoError):
-            decode_values(frame.data, protected=True)
-    assert decode_values(good.data, protected=True).counter == 2
+            decoded(frame)
+    assert decoded(good).counter == 2
 
 
 def test_repeated_counters() -> None:

@@ -7,13 +7,13 @@ from typing import Any
 
 import msgspec
 import pytest
-from support.board_bench import RIG, STOP, SYNC, Bench, HandPlant, nmt, with_dac
+from support.board_bench import RIG, STOP, SYNC, Bench, HandPlant, decoded, nmt, with_dac
 from support.constants import CENTRED
 
 from firmware_sim.arm.arm import Arm
 from firmware_sim.arm.arm_file import shipped_arm
 from firmware_sim.arm.event_text import parse_event
-from firmware_sim.boards.codec import crc8, decode_values
+from firmware_sim.boards.codec import crc8
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from firmware_sim.plants.combined_plant import CombinedPlant
 from firmware_sim.simulated_rig import SimulatedRig
@@ -44,7 +44,7 @@ class TestInputs:
         for counter in range(3):
             sample, frame = bench.give(SYNC)
             assert (sample.id, frame.id) == (0x190, 0x290)
-            assert frame.data == bytes((3, counter, crc8(bytes((3, counter)))))
+            assert frame.data == bytes((3, counter, crc8(bytes((0x90, 0x02, 3, counter)))))
 
     def test_contacts_open_and_close(self) -> None:
         bench = Bench(with_inputs(emergency_stop=STOP_INPUT, enable=ENABLE_INPUT)).started()
@@ -59,7 +59,7 @@ class TestInputs:
         relay = InputSettings(frame=0x1A5, byte=2, bit=7, timeout_s=0.05, protected=False)
         bench = Bench(with_inputs(emergency_stop=STOP_INPUT, enable=relay)).started()
         assert [(frame.id, frame.data) for frame in bench.give(SYNC)[1:]] == [
-            (0x290, bytes((1, 0, crc8(b"\x01\x00")))),
+            (0x290, bytes((1, 0, crc8(b"\x90\x02\x01\x00")))),
             (0x1A5, b"\0\0\x80"),
         ]
 
@@ -69,7 +69,7 @@ class TestInputs:
         assert inputs(bench) == []
         bench.rig.adc.faults = AdcFaults(input_crcs_to_corrupt=1)
         bad, good = inputs(bench)[0], inputs(bench)[0]
-        assert bad[2] != crc8(bad[:2]) and good[2] == crc8(good[:2])
+        assert bad[2] != crc8(b"\x90\x02" + bad[:2]) and good[2] == crc8(b"\x90\x02" + good[:2])
         assert good[1] == 2
 
     def test_a_reset_begins_to_count_from_0(self) -> None:
@@ -109,7 +109,7 @@ class TestReadBack:
         for counter in range(2):
             _, frame = bench.give(SYNC)
             assert frame.id == 0x1A0
-            values = decode_values(frame.data, protected=True)
+            values = decoded(frame)
             assert values.counter == counter
             volts = [count * 10 / 32768 for count in values.counts]
             assert volts == pytest.approx([6.0, 5.0, 4.0], abs=0.0025)
@@ -119,7 +119,7 @@ class TestReadBack:
         bench.rig.dac.faults = DacFaults(frozen_v={2: 7.5})
         bench.command(5.0, 5.0, 5.0)
         _, frame = bench.give(SYNC)
-        assert decode_values(frame.data, protected=True).counts == (16384, 24576, 16384)
+        assert decoded(frame).counts == (16384, 24576, 16384)
 
     def test_the_watchdogs_centring_is_read_back(self) -> None:
         bench = Bench(READ_BACK).started()
@@ -128,7 +128,7 @@ class TestReadBack:
         bench.wait(200_000_000)
         assert bench.rig.dac.valve_v == CENTRED
         frame = next(frame for frame in bench.give(SYNC) if frame.id == 0x1A0)
-        assert decode_values(frame.data, protected=True).counts == (16384,) * 3
+        assert decoded(frame).counts == (16384,) * 3
 
     def test_without_protection_it_has_six_bytes(self) -> None:
         bench = Bench(with_dac(read_back=True, protected=False)).started()

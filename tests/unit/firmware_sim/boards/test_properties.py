@@ -6,10 +6,9 @@ from typing import Literal
 
 from hypothesis import given
 from hypothesis import strategies as st
-from support.board_bench import START, SYNC, Bench, nmt, with_dac
+from support.board_bench import START, SYNC, Bench, nmt, pdo, with_dac
 from support.constants import CENTRED, PERIOD_NS
 
-from firmware_sim.boards.codec import encode_values
 from hil.core.frames import Frame
 
 Apply = Literal["at sync", "at once"]
@@ -20,7 +19,7 @@ counters = st.integers(0, 255)
 counts = st.tuples(*[st.integers(0, 32767)] * 3)
 bodies = st.binary(max_size=8)
 
-good_commands = st.builds(lambda c, n: Frame(0x220, encode_values(c, n)), counts, counters)
+good_commands = st.builds(lambda c, n: pdo(0x220, c, n), counts, counters)
 commands_of_the_nmt = st.builds(
     nmt, st.sampled_from([1, 1, 1, 2, 128, 129, 130, 7]), st.sampled_from([0, 0x20])
 )
@@ -81,9 +80,9 @@ def test_no_voltage_of_a_command_with_a_bad_crc_is_ever_applied(
     for wait_ns, is_good, good, bad, counter, flip in steps:
         bench.wait(wait_ns)
         if is_good:
-            bench.give(Frame(0x220, encode_values(good, counter)))
+            bench.give(pdo(0x220, good, counter))
         else:
-            data = encode_values(bad, counter)
+            data = pdo(0x220, bad, counter).data
             bench.give(Frame(0x220, data[:7] + bytes((data[7] ^ flip,))))
         bench.give(SYNC)
         assert max(bench.valve_v) <= 5.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from random import Random
 
 import pytest
+from support.board_bench import decoded, pdo
 
-from firmware_sim.boards.codec import decode_values, encode_values
 from firmware_sim.faults.fault_text import parse_fault
 from firmware_sim.faults.frame_faults import FrameChanger, Selection, with_counter_step
 from firmware_sim.faults.kinds import FrameChange
@@ -14,13 +14,13 @@ from hil.core.frames import Frame
 
 
 def sample(counter: int) -> Frame:
-    return Frame(0x190, encode_values((16384, 1000, 32000), counter))
+    return pdo(0x190, (16384, 1000, 32000), counter)
 
 
 def changer(text: str, seed: int = 1) -> FrameChanger:
     fault = parse_fault(text)
     assert isinstance(fault, FrameChange)
-    return FrameChanger(fault, Random(seed))
+    return FrameChanger(fault, Random(seed), 2)
 
 
 def arriving(fault: FrameChanger, frames: list[Frame]) -> list[Frame]:
@@ -44,7 +44,7 @@ FRAMES = [sample(counter) for counter in range(4)]
 )
 def test_frames_arrive_in_this_order(text: str, counters: list[int]) -> None:
     frames = arriving(changer(text), FRAMES)
-    assert [decode_values(frame.data, protected=True).counter for frame in frames] == counters
+    assert [decoded(frame).counter for frame in frames] == counters
 
 
 def test_a_late_frame_has_a_delay() -> None:
@@ -66,14 +66,14 @@ def test_a_corrupt_frame_without_data_gets_a_byte() -> None:
 
 def test_an_altered_frame_has_another_value_and_a_correct_crc() -> None:
     (changed,) = arriving(changer("alter:sample@0"), [FRAMES[0]])
-    values = decode_values(changed.data, protected=True)
+    values = decoded(changed)
     assert values.counts != (16384, 1000, 32000)
     assert values.counter == 0
 
 
 def test_frames_without_counter_and_crc_are_altered_too() -> None:
-    frame = Frame(0x190, encode_values((1, 2, 3), None))
-    assert with_counter_step(frame, 1) == frame
+    frame = pdo(0x190, (1, 2, 3), None)
+    assert with_counter_step(frame, 1, 2) == frame
     (changed,) = arriving(changer("alter:sample@0"), [frame])
     assert len(changed.data) == 6
     assert changed != frame

@@ -9,9 +9,9 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
+from support.board_bench import pdo
 from support.shipped_rig import SHIPPED_RIG
 
-from firmware_sim.boards.codec import encode_values
 from hil.campaigns import result_files, runner
 from hil.campaigns.campaign_file import Campaign, case_at, case_count, find_campaign, read_campaign
 from hil.campaigns.case import CaseResult, commands_keep_limits, run_case
@@ -151,7 +151,7 @@ def test_shipped_campaigns_can_be_read(name: str) -> None:
 def test_commands_are_judged_by_magnitude_and_rate() -> None:
     def command(*volts: float) -> Frame:
         first, second, third = (round(value * 3276.8) for value in volts)
-        return Frame(0x220, encode_values((first, second, third), 0))
+        return pdo(0x220, (first, second, third), 0)
 
     centre, far = command(5.0, 5.0, 5.0), command(9.0, 5.0, 5.0)
     assert commands_keep_limits(SHIPPED_RIG, [centre, far, centre])

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import can
 import pytest
+from support.wire import crc8, frame_crc
 
 from hil.cli import main
 from hil.cli.replay_onto_bus import is_virtual
@@ -64,6 +65,18 @@ def test_the_boards_frames_arrive_and_the_timing_is_reported(
     assert timing.startswith("timing     error p50 0.")
     assert "p99" in timing
     assert "worst" in timing
+
+
+def test_fresh_samples_have_the_crc_of_the_recordings_wire_version(
+    folder: Path, listener: InProcessBus
+) -> None:
+    assert main(["replay", "run.mcap", "--bus", BUS, "--fresh", "--speed", "20"]) == 0
+    samples = [bytes(frame.data) for frame in heard(listener) if frame.arbitration_id == codec.TPDO1_ADC]
+    assert samples and all(data[7] == frame_crc(codec.TPDO1_ADC, data[:7]) for data in samples)
+    old = str(Path(__file__).parents[3] / "data" / "hil-0.2.0-run.mcap")
+    assert main(["replay", old, "--bus", BUS, "--fresh", "--speed", "100"]) == 0
+    samples = [bytes(frame.data) for frame in heard(listener) if frame.arbitration_id == codec.TPDO1_ADC]
+    assert samples and all(data[7] == crc8(data[:7]) for data in samples)
 
 
 def test_the_gateways_frames_end_with_centred_valves(

@@ -27,12 +27,12 @@ from support.gateway_bench import (
     sample_frame,
     texts,
 )
+from support.wire import frame_crc
 
 from hil.core.controller_file import PidLaw
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
 
 START_ADC, START_DAC = Frame(0x000, b"\x01\x10"), Frame(0x000, b"\x01\x20")
 
@@ -353,7 +353,7 @@ class TestRunning:
         gateway.periods(5)
         frames = [frame for frame in gateway.transcript.frames if frame.id == codec.RPDO1_DAC]
         assert [frame.data[6] for frame in frames] == [k & 0xFF for k in range(len(frames))]
-        assert all(frame.data[7] == crc8_j1850(frame.data[:7]) for frame in frames)
+        assert all(frame.data[7] == frame_crc(0x220, frame.data[:7]) for frame in frames)
 
 
 class TestOtherRigs:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.constants import PERIOD_S
 from support.gateway_bench import commands_v, rig_text
+from support.wire import frame_crc
 
 import hil
 from hil.core.errors import DocumentError
@@ -18,9 +19,12 @@ from hil.core.frames import Frame
 from hil.core.rig import MAX_RATE_V_S, MAX_WIRE_V, VOLTS_PER_COUNT, Valve, read_rig
 from hil.core.valve_commands import ValveCommands
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
+from hil.core.wire.frame_crc import FrameCrc
 
 TINY = 1e-9
+
+
+CRC = FrameCrc(codec.RPDO1_DAC, 2)
 
 
 def valve(
@@ -34,7 +38,7 @@ def valve(
 
 
 def one_valve(**limits: float) -> ValveCommands:
-    return ValveCommands([valve(**limits)], PERIOD_S, True)  # type: ignore[arg-type]
+    return ValveCommands([valve(**limits)], PERIOD_S, CRC)  # type: ignore[arg-type]
 
 
 def is_allowed(limits: Valve) -> bool:
@@ -119,12 +123,12 @@ class TestCentre:
         assert commands.command(0, -5.0) == pytest.approx(-1.12)
 
     def test_before_any_command_every_valve_is_centred(self) -> None:
-        commands = ValveCommands([valve(2, centre_v=4.5), valve(1, centre_v=5.5)], PERIOD_S, True)
+        commands = ValveCommands([valve(2, centre_v=4.5), valve(1, centre_v=5.5)], PERIOD_S, CRC)
         assert commands.volts == [4.5, 5.5]
         assert commands_v(commands.frame()) == pytest.approx((5.5, 4.5, 5.0), abs=VOLTS_PER_COUNT / 2)
 
     def test_a_command_moves_only_its_own_valve(self) -> None:
-        commands = ValveCommands([valve(1), valve(2), valve(3)], PERIOD_S, True)
+        commands = ValveCommands([valve(1), valve(2), valve(3)], PERIOD_S, CRC)
         commands.command(1, 2.0)
         assert commands_v(commands.frame()) == pytest.approx((5.0, 7.0, 5.0), abs=VOLTS_PER_COUNT / 2)
         assert commands.volts == [5.0, 7.0, 5.0]
@@ -157,7 +161,7 @@ class TestRefusal:
     def test_the_rate_limit_starts_from_the_last_command_that_was_taken(
         self, refusals: int, protected: bool
     ) -> None:
-        commands = ValveCommands([valve(max_rate_v_s=25.0)], PERIOD_S, protected)
+        commands = ValveCommands([valve(max_rate_v_s=25.0)], PERIOD_S, CRC if protected else None)
         commands.command(0, 4.0)
         assert voltages(commands.frame()) == pytest.approx(5.28, abs=VOLTS_PER_COUNT)
         for _ in range(refusals):
@@ -179,7 +183,7 @@ class TestRefusal:
     def test_two_centring_commands_in_one_output_are_refused_one_by_one(
         self, refused: Sequence[int], starts_from_v: float, protected: bool
     ) -> None:
-        commands = ValveCommands([valve(max_rate_v_s=25.0)], PERIOD_S, protected)
+        commands = ValveCommands([valve(max_rate_v_s=25.0)], PERIOD_S, CRC if protected else None)
         commands.command(0, 4.0)
         commands.frame()
         centring = []
@@ -195,7 +199,7 @@ class TestRefusal:
     def test_the_bus_never_gets_a_larger_step_than_the_rate_allows(
         self, wanted: list[tuple[float, bool]], protected: bool
     ) -> None:
-        commands = ValveCommands([valve(max_rate_v_s=25.0)], PERIOD_S, protected)
+        commands = ValveCommands([valve(max_rate_v_s=25.0)], PERIOD_S, CRC if protected else None)
         on_bus_v = 5.0
         for offset_v, is_taken in wanted:
             commands.command(0, offset_v)
@@ -210,7 +214,7 @@ class TestRefusal:
 class TestFrame:
     @pytest.mark.parametrize("channels", [(1,), (2,), (3,), (3, 1), (2, 3)])
     def test_unused_channels_are_centred(self, channels: Sequence[int]) -> None:
-        commands = ValveCommands([valve(channel) for channel in channels], PERIOD_S, True)
+        commands = ValveCommands([valve(channel) for channel in channels], PERIOD_S, CRC)
         for index in range(len(channels)):
             commands.command(index, 1.0 + index)
         volts = commands_v(commands.frame())
@@ -224,12 +228,12 @@ class TestFrame:
             frame = commands.frame()
             assert (frame.id, len(frame.data)) == (codec.RPDO1_DAC, 8)
             assert frame.data[6] == k & 0xFF
-            assert frame.data[7] == crc8_j1850(frame.data[:7])
+            assert frame.data[7] == frame_crc(0x220, frame.data[:7])
             assert frame == Frame(codec.RPDO1_DAC, frame.data)  # neither extended nor remote
 
     def test_an_unprotected_frame_has_the_voltages_only(self) -> None:
-        protected = ValveCommands([valve()], PERIOD_S, True)
-        unprotected = ValveCommands([valve()], PERIOD_S, False)
+        protected = ValveCommands([valve()], PERIOD_S, CRC)
+        unprotected = ValveCommands([valve()], PERIOD_S, None)
         for commands in (protected, unprotected):
             commands.command(0, 1.0)
         assert unprotected.frame() == Frame(codec.RPDO1_DAC, protected.frame().data[:6])
@@ -268,7 +272,7 @@ def test_no_sequence_of_offsets_leaves_the_limits(
     limits: Valve, asked: list[float | None], protected: bool
 ) -> None:
     """None stands for centring, which may be any step. Other commands keep the rate limit, to one count."""
-    commands = ValveCommands([limits], PERIOD_S, protected)
+    commands = ValveCommands([limits], PERIOD_S, CRC if protected else None)
     before = commands_v(commands.frame())[limits.channel - 1]
     for offset in asked:
         if offset is None:

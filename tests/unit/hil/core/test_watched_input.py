@@ -13,7 +13,7 @@ NAME = "emergency_stop"
 
 def contact(byte: int = 0, bit: int = 0, protected: bool = True) -> WatchedInput:
     settings = InputSettings(frame=0x290, byte=byte, bit=bit, timeout_s=0.05, protected=protected)
-    return WatchedInput(NAME, settings, "it is pressed")
+    return WatchedInput(NAME, settings, 2, "it is pressed")
 
 
 def give(watched: WatchedInput, bits: int, counter: int, now_ns: int = 0, crc_error: int = 0) -> str | None:

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 from support.recorded_runs import RUN_HEADER, START_NS, in_memory
+from support.wire import crc8, frame_crc
 
 from hil.core.errors import LinkError, RecordingError
 from hil.core.frames import Frame
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
 from hil.links.link import Received
 from hil.recording import open_recording
 from hil.recording.reader import Recording
@@ -230,7 +230,7 @@ def test_samples_answer_each_sync_with_new_counters(recording: Recording, bench:
     assert [frame.data[6] for frame in schedule.answers] == [7, 8]
     syncs = [Frame(codec.SYNC), Frame(codec.SYNC), Frame(codec.SYNC)]
     bench.arriving = [*syncs, Frame(codec.SYNC, b"", True), Frame(codec.SYNC, b"", False, True), Frame(0x81)]
-    replay = BusReplay(bench, schedule, change=fresh_samples(), clock_ns=bench.clock_ns)
+    replay = BusReplay(bench, schedule, change=fresh_samples(2), clock_ns=bench.clock_ns)
     assert replay.run(StopRequest())
     samples = [frame for _, frame in bench.sent if frame.id == codec.TPDO1_ADC]
     assert [frame.data[6] for frame in samples] == [0, 1], "one for each SYNC, while there are samples"
@@ -265,7 +265,7 @@ class TestCentring:
             decoded = codec.decode_rpdo1_dac(command.data)
             assert decoded[:3] == (5.0, 5.0, 5.0)
             assert decoded.counter == counter
-            assert decoded.crc8 == crc8_j1850(command.data[:7])
+            assert decoded.crc8 == frame_crc(0x220, command.data[:7])
         assert [frame.id for _, frame in bench.sent] == [codec.RPDO1_DAC, codec.SYNC] * CENTRING_PERIODS
         periods_ms = np.diff([at_ns for at_ns, frame in bench.sent if frame.id == codec.SYNC]) / MS
         assert np.allclose(periods_ms, 11.2, atol=0.2)
@@ -287,14 +287,16 @@ class TestCentring:
         assert centre_after(replay, load_rig(), reopen) == CENTRING_PERIODS
 
 
-def test_fresh_samples_have_a_new_counter_and_its_crc() -> None:
-    fresh = fresh_samples()
+@pytest.mark.parametrize("version", [1, 2])
+def test_fresh_samples_have_a_new_counter_and_its_crc(version: int) -> None:
+    fresh = fresh_samples(version)
     sample = Frame(codec.TPDO1_ADC, bytes.fromhex("0040014002400700"))
     for counter in [*range(256), 0, 1]:
         decoded = codec.decode_tpdo1_adc(fresh(sample).data)
         assert decoded.counter == counter
         assert decoded[:3] == codec.decode_tpdo1_adc(sample.data)[:3]
-        assert decoded.crc8 == crc8_j1850(fresh_data(sample, counter))
+        body = fresh_data(sample, counter)
+        assert decoded.crc8 == (crc8(body) if version == 1 else frame_crc(0x190, body))
     for other in (Frame(0x710, b"\x05"), Frame(0x190, bytes(6)), Frame(0x190, bytes(8), True)):
         assert fresh(other) == other
 

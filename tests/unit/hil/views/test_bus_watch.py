@@ -9,10 +9,10 @@ import msgspec
 import pytest
 from rich.console import Console
 from support.shipped_rig import SHIPPED_RIG
+from support.wire import crc8, protected
 
 from hil.core.frames import Frame
 from hil.core.wire import codec
-from hil.core.wire.crc8 import crc8_j1850
 from hil.core.wire.frame_bits import bits_on_wire
 from hil.views.bus_table import bus_table
 from hil.views.bus_watch import MAX_UNKNOWN_IDENTIFIERS, SILENT_NS, BusWatch, Status
@@ -24,7 +24,7 @@ BIT_RATE = 500_000
 
 def sample(volts: tuple[float, float, float], counter: int) -> Frame:
     data = codec.encode_tpdo1_adc(*volts, counter & 0xFF, 0)[:7]
-    return Frame(codec.TPDO1_ADC, data + bytes((crc8_j1850(data),)))
+    return protected(codec.TPDO1_ADC, data)
 
 
 def picture(status: Status) -> str:
@@ -89,6 +89,17 @@ def test_lost_and_damaged_samples_are_counted(watch: BusWatch) -> None:
     watch.receive(good._replace(data=good.data[:6]), 6 * PERIOD_NS)
     samples = watch.status(6 * PERIOD_NS).samples
     assert (samples.lost, samples.damaged, samples.counter) == (2, 2, 3)
+
+
+def test_samples_of_another_wire_version_are_named(watch: BusWatch) -> None:
+    good = sample((5.0, 5.0, 5.0), 4)
+    watch.receive(good._replace(data=good.data[:7] + bytes((crc8(good.data[:7]),))), 0)
+    status = watch.status(0)
+    assert status.samples.damaged == 1
+    hint = "the CRC of the samples is wrong: the sender speaks wire version 1, the rig file says 2: "
+    assert any(text.startswith(hint) for text in status.hints)
+    watch.receive(good, PERIOD_NS)
+    assert not any("version" in hint for hint in watch.status(PERIOD_NS).hints)
 
 
 def test_samples_of_a_board_without_counter_are_read(watch: BusWatch) -> None:
