@@ -15,7 +15,7 @@ export OPENBLAS_NUM_THREADS = 1
 run: .venv/for-run
 	$(BIN)/hil run
 
-test: .venv/for-test test-packages
+test: .venv/for-test test-packages tests/node/node_modules
 	$(BIN)/ruff check --quiet $(PYTHON_CODE)
 	$(BIN)/ruff format --check --quiet $(PYTHON_CODE)
 	$(BIN)/mypy
@@ -52,7 +52,7 @@ lock: .venv/for-test
 		--no-emit-trusted-host --no-annotate --no-header -o requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv build tests/node/node_modules *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find hil firmware_sim design tests -name __pycache__ -prune -exec rm -rf {} +
 	rm -f firmware_sim/arm/*.so hil/host/vcan/*.so
 
@@ -65,6 +65,11 @@ clean:
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install -qq --disable-pip-version-check -c requirements.lock -e '.[test,dev]'
 	touch $@ .venv/for-run
+
+# Foxglove's readers of recordings, in the versions of the lock file.
+tests/node/node_modules: tests/node/package.json tests/node/package-lock.json | test-packages
+	cd tests/node && npm ci --ignore-scripts --no-audit --no-fund --loglevel=error >/dev/null
+	touch $@
 
 # Install the Debian packages of programs that are missing.
 run-packages:
@@ -80,6 +85,8 @@ test-packages:
 	command -v ip >/dev/null || need iproute2; \
 	command -v candump >/dev/null || need can-utils; \
 	command -v chromium >/dev/null || need chromium; \
+	command -v node >/dev/null || need nodejs; \
+	command -v npm >/dev/null || need npm; \
 	$(INSTALL)
 
 MISSING := missing=; need() { missing="$$missing $$*"; }
