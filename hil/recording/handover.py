@@ -26,7 +26,7 @@ MESSAGE_OPCODE = 5
 MESSAGE_HEADER = struct.Struct("<11sIQQ")
 """Message record up to its data: :func:`message_prefix`, sequence, log time, publish time."""
 SEQUENCE_MASK = 0xFFFF_FFFF
-"""Largest sequence number; 0 follows it. Sequence numbers count all messages of a run from 1.
+"""Largest sequence number; 0 follows it. Sequence numbers count the messages of a file from 1.
 
 At 700 messages a second, the numbers last for 71 days.
 """

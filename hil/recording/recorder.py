@@ -33,6 +33,7 @@ from hil.recording.handover import (
 )
 from hil.recording.pipe import RecorderPipe
 from hil.recording.request_texts import request_text
+from hil.recording.rotation_names import AFTER_PAUSE, PART, RUN_ID
 from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, layout_of
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ ROS_TIME_END_NS = 2**31 * _SECOND_NS
 """End of the time that ``builtin_interfaces/msg/Time`` can hold, January 2038, in epoch ns."""
 _MAX_RUN_NS = 365 * 86400 * _SECOND_NS
 _NO_FRAME_ID = cdr_string("")
+_RUN_ID_LENGTH = 32
 
 
 class RecorderReport(NamedTuple):
@@ -106,6 +108,9 @@ class Recorder:
             )
         self._path = path
         self._header = header
+        self._run_id = hashlib.sha256(msgspec.msgpack.encode(header)).hexdigest()[:_RUN_ID_LENGTH]
+        self._part = 1
+        """Number of the present file of the run."""
         self._is_stopped = False
         """True after :meth:`stop`, until the next file begins. Messages are then discarded."""
         self._min_free_bytes = min_free_bytes
@@ -129,7 +134,7 @@ class Recorder:
         self._axes = [
             message_prefix(schemas.FIRST_AXIS + place, axis.size) for place in range(len(header.axes))
         ]
-        self._pipe.send(_empty_block() + msgspec.msgpack.encode(header), HEADER)
+        self._send_header(header)
 
     def frame_received(self, frame: Frame, now_ns: int, stamp_ns: int) -> None:
         """Record that the core is about to receive ``frame``, which the link stamped ``stamp_ns`` (epoch).
@@ -248,11 +253,13 @@ class Recorder:
         """
         if path.exists():
             return f"{path} exists already; a recording overwrites no file"
+        is_after_pause = self._is_stopped
         self.stop(ending)
         block = _empty_block() + msgspec.msgpack.encode(NextFile(str(path), tuple(map(str, remove))))
         if not self._pipe.next_file(path, block):
             return "the recorder process has ended; end this program and start it again to record"
         self._path = path
+        self._part += 1
         self._is_stopped = False
         self._sequence = 0
         self._batch = _empty_block()
@@ -263,7 +270,7 @@ class Recorder:
             attachments={**self._header.attachments, **attachments},
             metadata={**metadata, "documents": {**metadata.get("documents", {}), **digests}},
         )
-        self._pipe.send(_empty_block() + msgspec.msgpack.encode(header), HEADER)
+        self._send_header(header, is_after_pause)
         return None
 
     def stop(self, ending: dict[str, dict[str, str]]) -> None:
@@ -282,6 +289,15 @@ class Recorder:
         return RecorderReport(
             self._sequence - self.dropped, self._dropped_by_topic(), self._path, self._pipe.failure
         )
+
+    def _send_header(self, header: RunHeader, is_after_pause: bool = False) -> None:
+        """Send the header of a file, with the name of the run and the number of the file in it."""
+        own = {RUN_ID: self._run_id, PART: str(self._part)}
+        if is_after_pause:
+            own[AFTER_PAUSE] = "yes"
+        given = header.metadata.get("recording", {})
+        header = msgspec.structs.replace(header, metadata={**header.metadata, "recording": {**own, **given}})
+        self._pipe.send(_empty_block() + msgspec.msgpack.encode(header), HEADER)
 
     def _add_frame(self, prefix: bytes, frame: Frame, now_ns: int) -> None:
         identifier, data, is_extended, is_remote, is_error = frame
