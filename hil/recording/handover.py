@@ -17,6 +17,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from hil.recording.rotation_names import AFTER_PAUSE, PART
+
 BLOCK_HEADER = struct.Struct("<cI")
 HEADER, BATCH, END, NEXT = b"H", b"B", b"E", b"N"
 """Kinds of blocks. HEADER begins the contents of the first file, and END finishes a file. NEXT
@@ -28,7 +30,7 @@ MESSAGE_OPCODE = 5
 MESSAGE_HEADER = struct.Struct("<11sIQQ")
 """Message record up to its data: :func:`message_prefix`, sequence, log time, publish time."""
 SEQUENCE_MASK = 0xFFFF_FFFF
-"""Largest sequence number; 0 follows it. Sequence numbers count all messages of a run from 1.
+"""Largest sequence number; 0 follows it. Sequence numbers count the messages of a file from 1.
 
 At 700 messages a second, the numbers last for 71 days.
 """
@@ -62,6 +64,10 @@ class NextFile(msgspec.Struct, frozen=True):
 
     path: str
     """Its path. It must not exist."""
+    part: int
+    """Number of the file in the run; the first file has 1."""
+    is_after_pause: bool = False
+    """True if nothing was recorded between the two files for a while."""
     remove: tuple[str, ...] = ()
     """Files that are removed first, to make room."""
     attachments: dict[str, tuple[str, bytes]] = {}
@@ -80,10 +86,15 @@ def next_header(first: RunHeader, file: NextFile) -> RunHeader:
         text = json.dumps(state, allow_nan=False, separators=(",", ":"))
         added[name] = ("application/json", text.encode())
     digests = {name: hashlib.sha256(content).hexdigest() for name, (_, content) in added.items()}
+    own = {PART: str(file.part)} | ({AFTER_PAUSE: "yes"} if file.is_after_pause else {})
     return msgspec.structs.replace(
         first,
         attachments={**first.attachments, **added},
-        metadata={**first.metadata, "documents": {**first.metadata.get("documents", {}), **digests}},
+        metadata={
+            **first.metadata,
+            "recording": {**first.metadata["recording"], **own},
+            "documents": {**first.metadata.get("documents", {}), **digests},
+        },
     )
 
 

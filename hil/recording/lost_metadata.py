@@ -15,6 +15,7 @@ from hil.recording import schemas
 from hil.recording.handover import MESSAGE_HEADER
 from hil.recording.mcap_chunks import walk
 from hil.recording.mcap_scan import Part, Scan
+from hil.recording.metadata_digests import DIGEST_KIND
 
 RECORDING = "recording"
 _DEADLINE = struct.Struct("<4sqq")
@@ -52,6 +53,7 @@ def restore_recording(found: Scan, content_of: Callable[[Part], bytes]) -> bool:
         "epoch_offset_ns": str(epoch_offset_ns),
         "bus": bus,
         "stamp_origin": "unknown",
+        DIGEST_KIND: "sha256",
     }
     found.metadata = [record for record in found.metadata if record.name != RECORDING]
     found.metadata.insert(0, Metadata(RECORDING, restored))

@@ -6,7 +6,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from importlib import import_module
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -121,9 +121,21 @@ def walk(body: bytes) -> Offsets:
 
 def log_times(body: bytes, offsets: npt.NDArray[np.int64]) -> npt.NDArray[np.uint64]:
     """Return the log times (epoch ns) of the message records at ``offsets``."""
-    content = np.frombuffer(body, np.uint8)[_LOG_TIME_OFFSET:]
-    times = np.lib.stride_tricks.as_strided(content, (max(len(content) - 7, 0), 8), (1, 1))[offsets]
-    return np.ascontiguousarray(times).view("<u8")[:, 0]
+    return _numbers(body, offsets, _LOG_TIME_OFFSET, "<u8")
+
+
+def sequences(body: bytes, offsets: npt.NDArray[np.int64]) -> npt.NDArray[np.uint32]:
+    """Return the sequence numbers of the message records at ``offsets``."""
+    return _numbers(body, offsets, _SEQUENCE_OFFSET, "<u4")
+
+
+def _numbers(body: bytes, offsets: npt.NDArray[np.int64], place: int, kind: str) -> npt.NDArray[Any]:
+    """Return the numbers that stand ``place`` bytes after each offset."""
+    size = np.dtype(kind).itemsize
+    content = np.frombuffer(body, np.uint8)[place:]
+    shape = (max(len(content) - size + 1, 0), size)
+    at_every_offset = np.lib.stride_tricks.as_strided(content, shape, (1, 1))
+    return np.ascontiguousarray(at_every_offset[offsets]).view(kind)[:, 0]
 
 
 def message_index(body: bytes) -> dict[int, list[int]]:
@@ -157,6 +169,20 @@ def offsets_in_index(records: bytes, channel: int | None = None) -> Offsets:
     return found
 
 
+def indexed_messages(records: bytes) -> dict[int, npt.NDArray[np.uint64]]:
+    """Return what message index ``records`` list, by channel id, in the order of the offsets.
+
+    Each array has log time and offset of a message in a row. Raises ValueError or struct.error.
+    """
+    found = {}
+    for _, body in records_in(records):
+        number, size = _INDEX_HEADER.unpack_from(body)
+        if size:
+            entries = np.frombuffer(body, "<u8", size // 8, _INDEX_HEADER.size).reshape(-1, 2)
+            found[number] = entries[np.argsort(entries[:, 1], kind="stable")]
+    return found
+
+
 def check_index(body: bytes) -> None:
     """Check the form of a message index record. Raises ValueError or struct.error."""
     _, size = _INDEX_HEADER.unpack_from(body)
@@ -171,8 +197,3 @@ def descriptions_in(body: bytes) -> Iterator[Schema | Channel]:
             yield parse_schema(content)[0]
         elif opcode == Opcode.CHANNEL:
             yield parse_channel(content)[0]
-
-
-def sequence_of(body: bytes, offset: int) -> int:
-    """Return the sequence number of the message record at ``offset``."""
-    return int.from_bytes(body[offset + _SEQUENCE_OFFSET : offset + _LOG_TIME_OFFSET], "little")

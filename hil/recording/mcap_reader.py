@@ -92,6 +92,7 @@ class McapContents:
         """Channels by topic."""
         self.is_complete = found.is_complete
         """True if the file has a footer. If not, it was cut off, and its complete chunks can be read."""
+        self._row_types: dict[tuple[str, str], np.dtype[np.void]] = {}
         self._schemas, self._places, self._counts = found.schemas, found.places, found.counts
 
     @property
@@ -165,6 +166,27 @@ class McapContents:
             return rows
         return np.empty(0, row_type)
 
+    @property
+    def files(self) -> tuple[McapContents]:
+        """The file itself, as the only one of its run."""
+        return (self,)
+
+    def rows_at(self, content: bytes, starts: npt.NDArray[np.int64], topic: str, frame_id: str) -> Rows:
+        """Return the rows of ``topic`` that begin at the offsets ``starts`` of a chunk's ``content``.
+
+        Raises RecordingError as :meth:`rows` does.
+        """
+        row_type = self._row_types.get((topic, frame_id))
+        if row_type is None:
+            row_type = self._row_types[topic, frame_id] = self.row_type(topic, frame_id)
+        size = row_type.itemsize
+        if starts[0] < 0 or starts[-1] + size > len(content):
+            raise self._wrong_length(topic)
+        rows: Rows = _at_every_offset(content, size)[starts].view(row_type)[:, 0]
+        if np.any(rows["length"] != size - RECORD_HEADER.size):
+            raise self._wrong_length(topic)
+        return rows
+
     def time_range_ns(self) -> tuple[int, int] | None:
         """Return the smallest and the largest log time in epoch ns; None without a message."""
         if not self._places:
@@ -206,10 +228,7 @@ class McapContents:
             starts = offsets[channel]
             if starts[0] < 0 or starts[-1] + size > len(content):
                 raise self._wrong_length(topic)
-            at_every_offset: npt.NDArray[np.uint8] = np.ndarray(
-                (len(content) - size + 1, size), np.uint8, content, strides=(1, 1)
-            )
-            yield at_every_offset, starts
+            yield _at_every_offset(content, size), starts
 
     def _read(self, place: Place, channel: int | None) -> tuple[bytes, Offsets]:
         """Return a chunk, uncompressed, and the offsets of the messages of ``channel``, or of all."""
@@ -273,6 +292,11 @@ class McapContents:
                 raise RecordingError(
                     f"{self.path}: damaged: the CRC of bytes {start} to {end} does not match them"
                 )
+
+
+def _at_every_offset(content: bytes, size: int) -> npt.NDArray[np.uint8]:
+    """Return a view whose row i are the ``size`` bytes from offset i on."""
+    return np.ndarray((len(content) - size + 1, size), np.uint8, content, strides=(1, 1))
 
 
 _CHUNK_HEADER_BYTES = 256

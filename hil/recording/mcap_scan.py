@@ -26,7 +26,7 @@ from hil.recording.mcap_chunks import (
     check_index,
     descriptions_in,
     log_times,
-    sequence_of,
+    sequences,
     uncompressed,
     walk,
 )
@@ -111,6 +111,8 @@ class Scan:
     counts: Counter[int] = field(default_factory=Counter)
     """Number of messages, by channel id."""
     losses: list[Loss] = field(default_factory=list)
+    wrong_lengths: list[int] = field(default_factory=list)
+    """Offsets of chunk records that state a wrong length, and were read by the size of their data."""
     data_end: Record | None = None
     footer: Record | None = None
     has_end: bool = False
@@ -170,7 +172,10 @@ class _Scanner:
         if end == record.end or end == self._file.size:
             return end
         following = record_at(self._file, end)
-        return end if following is not None and following.opcode in _NAMES else record.end
+        if following is None or following.opcode not in _NAMES:
+            return record.end
+        self._found.wrong_lengths.append(record.start)
+        return end
 
     def _take_by_own_size(self, start: int) -> int | None:
         """Take a chunk whose record states a wrong length, if it proves itself with the size of its data.
@@ -192,6 +197,7 @@ class _Scanner:
         if not _proves_itself(Opcode.CHUNK, body):
             return None
         self._take_chunk(record, body)
+        self._found.wrong_lengths.append(start)
         return end
 
     def _in_words(self, record: Record | None, error: Exception) -> str:
@@ -298,7 +304,7 @@ class _Scanner:
         ordered = np.sort(np.concatenate(list(offsets.values())))
         times = log_times(content, ordered)
         start_ns, end_ns = int(times.min()), int(times.max())
-        first, last = (sequence_of(content, int(ordered[end])) for end in (0, -1))
+        first, last = sequences(content, ordered[[0, -1]]).tolist()
         self._found.counts.update({channel: len(places) for channel, places in offsets.items()})
         self._found.parts.append(Part(place._replace(start_ns=start_ns, end_ns=end_ns), first, last))
 

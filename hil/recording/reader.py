@@ -7,20 +7,18 @@ from __future__ import annotations
 
 import math
 import re
-import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from copy import copy
 from functools import cached_property
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import RecordingError
-from hil.recording.entries import Decoder, Entry, Logged, Message, decoder_of, log_entry_of
-from hil.recording.handover import RECORD_HEADER, SEQUENCE_MASK
-from hil.recording.mcap_reader import DEFINITION_ERRORS, Rows, numpy_codes
-from hil.recording.mcap_writer import METADATA_DIGEST, has_changed
+from hil.recording.entries import Entry, Logged
+from hil.recording.entry_reader import EntryReader, is_complete, messages_dropped
+from hil.recording.mcap_reader import Rows, numpy_codes
 from hil.recording.run_files import Paths, open_contents
 from hil.recording.schemas import (
     AXIS_SIGNALS,
@@ -29,7 +27,6 @@ from hil.recording.schemas import (
     CYCLE_TOPIC,
     FORMAT_VERSION,
     FRAME,
-    LOG_TOPIC,
     RECEIVED_TOPIC,
     REFUSED_TOPIC,
     SENT_TOPIC,
@@ -42,11 +39,6 @@ _ALWAYS_NS = 2**62
 """Magnitude of an instant beyond all others."""
 _MAX_LOG_DELAY_NS = 10 * _SECOND_NS
 """Largest time from a sampling instant to the log time of its period, for the choice of chunks to read."""
-_Decoded = TypeVar("_Decoded")
-_MESSAGE_FIELDS = struct.Struct("<BQHIQQ")
-"""Message record up to its data: opcode, length, channel, sequence, log time, publish time."""
-_DECODING_ERRORS = (ValueError, IndexError, TypeError, struct.error)
-"""Exceptions of a decoder when the message is not what its topic and definition say."""
 _FRAME_TOPICS = {"received": RECEIVED_TOPIC, "sent": SENT_TOPIC, "refused": REFUSED_TOPIC}
 
 
@@ -68,12 +60,9 @@ class Recording:
         """Content of each attached document, by its name."""
         self.metadata: dict[str, dict[str, str]] = contents.metadata
         """Entries of each metadata record, by its name: ``run``, ``setpoints``, ``ending``, ``rights``."""
-        recovery = self.metadata.get("recovery", {})
-        self.complete: bool = contents.is_complete and recovery.get("complete", "yes") == "yes"
+        self.complete: bool = is_complete(contents.is_complete, contents.metadata)
         """True if the file was ended properly, False if it was cut off or saved by ``hil recover``."""
         own = self._own_metadata()
-        if not contents.is_complete:
-            self._check_metadata()
         self.bus: str = own["bus"]
         """Name of the bus."""
         try:
@@ -102,14 +91,6 @@ class Recording:
             )
         return own
 
-    def _check_metadata(self) -> None:
-        """Check the digest of the metadata, which no CRC covers in a file that was cut off."""
-        if has_changed(self.metadata):
-            raise RecordingError(
-                f"{self.path}: damaged: metadata were changed: their SHA-256 is not that in metadata "
-                f"recording.{METADATA_DIGEST}"
-            )
-
     @property
     def axes(self) -> dict[str, str]:
         """Unit (m or rad) of each axis, by its name, in the rig file's order."""
@@ -132,8 +113,7 @@ class Recording:
     @property
     def messages_dropped(self) -> int:
         """Number of messages that were not recorded, because the recorder process was too slow or ended."""
-        counts = self.metadata.get("recorder", {})
-        return sum(int(count) for key, count in counts.items() if key.startswith("dropped "))
+        return messages_dropped(self.metadata)
 
     @property
     def state_names(self) -> dict[int, str]:
@@ -257,12 +237,9 @@ class Recording:
 
     def log(self) -> list[Logged]:
         """Return the log entries, each with its time in ns."""
-        found = []
         low, high = self._range_ns or (-_ALWAYS_NS, _ALWAYS_NS)
-        for message in self._messages(LOG_TOPIC):
-            if low <= message.now_ns < high:
-                found.append(self._decoded(log_entry_of, message))
-        return found
+        found = (logged for reader in self._entry_readers() for logged in reader.log())
+        return [logged for logged in found if low <= logged.now_ns < high]
 
     def entries(self) -> Iterator[Entry]:
         """Yield all entries in the order in which they were recorded.
@@ -272,75 +249,19 @@ class Recording:
         """
         if self._range_ns is not None:
             raise RecordingError(f"{self.path}: a range of time cannot be replayed; open the whole recording")
-        decoders = {channel.id: self._decoder_of(topic) for topic, channel in self._contents.channels.items()}
-        expected = 1
-        for message in self._messages(None):
-            channel, sequence, now_ns, _, _ = message
-            if sequence != expected:
-                missing = (sequence - expected) & SEQUENCE_MASK
-                raise RecordingError(
-                    f"{self.path}: {missing} messages before {now_ns} ns {self._why_missing()}; the entries "
-                    "after them cannot be replayed"
-                )
-            expected = (sequence + 1) & SEQUENCE_MASK
-            decode = decoders[channel]
-            if decode is not None:
-                try:
-                    entry = decode(message)
-                except _DECODING_ERRORS as error:
-                    raise self._unreadable(message, error) from None
-                yield entry
-        if self.messages_dropped:
-            raise RecordingError(
-                f"{self.path}: {self.messages_dropped} messages after the last one were dropped while "
-                "recording"
-            )
+        for place, reader in enumerate(self._entry_readers()):
+            yield from reader.entries(is_continued=place > 0)
 
     def check_count(self) -> None:
-        """Compare the number of messages with what the recorder states at the end of the file.
+        """Compare the number of messages with what the recorder states at the end of each file.
 
         No gap in the sequence shows messages that are missing after the last one. Raises RecordingError.
         """
-        stated = self.metadata.get("recorder", {}).get("messages", "")
-        found = sum(self.counts.values())
-        if self.complete and stated.isdecimal() and found < int(stated):
-            raise RecordingError(
-                f"{self.path}: {int(stated) - found} messages were removed by another program: the recorder "
-                f"wrote {stated}, and the file has {found}"
-            )
+        for reader in self._entry_readers():
+            reader.check_count()
 
-    def _why_missing(self) -> str:
-        if "recovery" in self.metadata:
-            return "were lost before `hil recover` saved the rest"
-        if self.messages_dropped or not self.complete:
-            return "were dropped while recording"
-        if "messages" in self.metadata.get("recorder", {}):
-            return "were removed by another program: the recorder has dropped none"
-        return "were dropped while recording, or removed later"
-
-    def _decoder_of(self, topic: str) -> Decoder | None:
-        """Return the decoder of a topic; None if the gateway does not write it. Raises RecordingError."""
-        try:
-            definition = self._contents.definition(topic)
-        except RecordingError:
-            if decoder_of(topic, "", self.bus, self.epoch_offset_ns) is None:
-                return None
-            raise
-        try:
-            return decoder_of(topic, definition, self.bus, self.epoch_offset_ns)
-        except DEFINITION_ERRORS as error:
-            raise RecordingError(
-                f"{self.path}: {topic}: the definition of its messages cannot be read: {error}"
-            ) from None
-
-    def _decoded(self, decode: Callable[[Message], _Decoded], message: Message) -> _Decoded:
-        try:
-            return decode(message)
-        except _DECODING_ERRORS as error:
-            raise self._unreadable(message, error) from None
-
-    def _unreadable(self, message: Message, error: Exception) -> RecordingError:
-        return RecordingError(f"{self.path}: message {message.sequence} cannot be read: {error}")
+    def _entry_readers(self) -> list[EntryReader]:
+        return [EntryReader(file, self.bus, self.epoch_offset_ns) for file in self._contents.files]
 
     def _rows(self, topic: str, kind: MessageType, frame_id: str = "") -> Rows:
         """Return the rows of ``topic`` within the range of time, and some around it.
@@ -364,17 +285,6 @@ class Recording:
             return rows, time_ns
         chosen = (time_ns >= self._range_ns[0]) & (time_ns < self._range_ns[1])
         return rows[chosen], time_ns[chosen]
-
-    def _messages(self, topic: str | None) -> Iterator[Message]:
-        """Yield the messages of ``topic`` (None: of all) in the order in which they were recorded."""
-        epoch_offset_ns, unpack_from = self.epoch_offset_ns, _MESSAGE_FIELDS.unpack_from
-        for body, offsets in self._contents.chunks(topic):
-            if not offsets:
-                continue
-            for offset in np.sort(np.concatenate(list(offsets.values()))).tolist():
-                _, length, channel, sequence, log_time, stamp_ns = unpack_from(body, offset)
-                payload = body[offset + _MESSAGE_FIELDS.size : offset + RECORD_HEADER.size + length]
-                yield Message(channel, sequence, log_time - epoch_offset_ns, stamp_ns, payload)
 
     def _seconds(self, time_ns: IntArray) -> npt.NDArray[np.float64]:
         return np.asarray((time_ns - self.start_ns) * 1e-9)

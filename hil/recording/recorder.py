@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,6 +33,7 @@ from hil.recording.handover import (
 )
 from hil.recording.pipe import RecorderPipe
 from hil.recording.request_texts import request_text
+from hil.recording.rotation_names import PART, RUN_ID
 from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, layout_of
 
 if TYPE_CHECKING:
@@ -61,6 +63,7 @@ ROS_TIME_END_NS = 2**31 * _SECOND_NS
 """End of the time that ``builtin_interfaces/msg/Time`` can hold, January 2038, in epoch ns."""
 _MAX_RUN_NS = 365 * 86400 * _SECOND_NS
 _NO_FRAME_ID = cdr_string("")
+_RUN_ID_LENGTH = 32
 
 
 class RecorderReport(NamedTuple):
@@ -104,6 +107,8 @@ class Recorder:
                 "stamps of a recording must lie between 1970 and January 2038: set the clock"
             )
         self._path = path
+        self._part = 1
+        """Number of the present file of the run."""
         self._is_stopped = False
         """True after :meth:`stop`, until the next file begins. Messages are then discarded."""
         self._min_free_bytes = min_free_bytes
@@ -127,7 +132,7 @@ class Recorder:
         self._axes = [
             message_prefix(schemas.FIRST_AXIS + place, axis.size) for place in range(len(header.axes))
         ]
-        self._pipe.send(_empty_block() + msgspec.msgpack.encode(header), HEADER)
+        self._pipe.send(_empty_block() + msgspec.msgpack.encode(_with_run_id(header)), HEADER)
 
     def frame_received(self, frame: Frame, now_ns: int, stamp_ns: int) -> None:
         """Record that the core is about to receive ``frame``, which the link stamped ``stamp_ns`` (epoch).
@@ -248,11 +253,20 @@ class Recorder:
         """
         if path.exists():
             return f"{path} exists already; a recording overwrites no file"
+        is_after_pause = self._is_stopped
         self.stop(ending)
-        file = NextFile(str(path), tuple(map(str, remove)), dict(attachments), dict(states or {}))
+        file = NextFile(
+            str(path),
+            self._part + 1,
+            is_after_pause,
+            tuple(map(str, remove)),
+            dict(attachments),
+            dict(states or {}),
+        )
         if not self._pipe.next_file(path, _empty_block() + msgspec.msgpack.encode(file)):
             return "the recorder process has ended; end this program and start it again to record"
         self._path = path
+        self._part += 1
         self._is_stopped = False
         self._sequence = 0
         self._batch = _empty_block()
@@ -336,3 +350,10 @@ def _packer(kind: MessageType, frame_id: str = "") -> tuple[Layout, Callable[...
 
 def _empty_block() -> bytearray:
     return bytearray(BLOCK_HEADER.size)
+
+
+def _with_run_id(header: RunHeader) -> RunHeader:
+    """Return the header of the first file of a run, with the name of the run."""
+    own = {RUN_ID: sha256(msgspec.msgpack.encode(header)).hexdigest()[:_RUN_ID_LENGTH], PART: "1"}
+    given = header.metadata.get("recording", {})
+    return msgspec.structs.replace(header, metadata={**header.metadata, "recording": {**own, **given}})

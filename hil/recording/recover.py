@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -21,11 +21,14 @@ from hil import __version__
 from hil.core.errors import DocumentError, RecordingError, RecordingExistsError
 from hil.core.rig import read_rig
 from hil.recording.handover import MESSAGE_OPCODE, RECORD_HEADER, SEQUENCE_MASK
+from hil.recording.indexed_file import IndexedFile, record_bytes
 from hil.recording.lost_metadata import restore_recording
 from hil.recording.mcap_chunks import UnsupportedCompressionError, message_index, uncompressed
 from hil.recording.mcap_records import FileBytes, parse_chunk_header
 from hil.recording.mcap_scan import Loss, Part, Place, Scan, scan
-from hil.recording.mcap_writer import IndexedFile, described_channels, has_changed, record_bytes
+from hil.recording.mcap_writer import described_channels
+from hil.recording.metadata_digests import DIGESTS, END_DIGESTS, damaged_metadata, with_digests
+from hil.recording.repairs import IndexCheck, repairs
 
 _NS_PER_MS = 1_000_000
 RECOVERY = "recovery"
@@ -71,6 +74,8 @@ class Recovery(NamedTuple):
     """True if the descriptions of the channels were lost, and were made again from the rig file."""
     restored_metadata: bool
     """True if the metadata ``recording`` were lost, and were made again from the messages."""
+    repaired: tuple[str, ...]
+    """What was damaged without a loss of data and is whole in the new file, in words."""
 
 
 def recover(source: Path, output: Path) -> Recovery:
@@ -94,7 +99,8 @@ def recover(source: Path, output: Path) -> Recovery:
             f"{source}: nothing can be saved: the descriptions of its channels are lost, and its rig file too"
         )
     restored = restore_recording(found, lambda part: _chunk_at(file, part.place)[1])
-    messages = _written(output, lambda write: _copy(file, found, lost, write))
+    indexes = IndexCheck(file)
+    messages = _written(output, lambda write: _copy(file, found, lost, indexes, write))
     return Recovery(
         output,
         messages,
@@ -103,6 +109,7 @@ def recover(source: Path, output: Path) -> Recovery:
         found.has_end,
         rebuilt,
         restored,
+        repairs(file, found, indexes.damaged),
     )
 
 
@@ -119,10 +126,12 @@ def _lost_parts(found: Scan) -> tuple[LostPart, ...]:
 
 
 def _changed_metadata(found: Scan) -> list[LostPart]:
-    """Return a part without bytes if metadata, which have no CRC of their own, differ from their digest."""
-    if not has_changed({record.name: record.metadata for record in found.metadata}):
-        return []
-    return [LostPart(0, 0, "metadata are damaged or missing, by their SHA-256", 0, None, None)]
+    """Return a part without bytes for each metadata record that is not as it was recorded."""
+    names = damaged_metadata({record.name: record.metadata for record in found.metadata})
+    return [
+        LostPart(0, 0, f"metadata {name}: not as recorded, or missing, by their SHA-256", 0, None, None)
+        for name in names
+    ]
 
 
 def _lost_part(parts: Sequence[Part], loss: Loss) -> LostPart:
@@ -183,20 +192,27 @@ def _written(output: Path, write_all: Callable[[Callable[[bytes], object]], int]
         raise
 
 
-def _copy(file: FileBytes, found: Scan, lost: Sequence[LostPart], write: Callable[[bytes], object]) -> int:
+def _copy(
+    file: FileBytes,
+    found: Scan,
+    lost: Sequence[LostPart],
+    indexes: IndexCheck,
+    write: Callable[[bytes], object],
+) -> int:
     """Write the new file; return the number of messages in it."""
     new = IndexedFile(write, f"pneumatic-hil {__version__}")
     for attachment in found.attachments:
         new.add_attachment(attachment)
-    for record in found.metadata:
-        new.add_metadata({record.name: record.metadata})
+    new.add_metadata(_new_metadata(file.path, found, lost))
     schemas, channels = list(found.schemas.values()), list(found.channels.values())
     for number, part in enumerate(found.parts):
         chunk, body = _chunk_at(file, part.place)
+        index = message_index(body)
+        indexes.add(part, index)
         if number == 0 and body[0] == MESSAGE_OPCODE:
             chunk, body = _new_chunk(record_bytes([*schemas, *channels]) + body, part.place)
-        new.add_chunk(chunk, message_index(body))
-    new.add_metadata({RECOVERY: _metadata(file.path, found, lost)})
+            index = message_index(body)
+        new.add_chunk(chunk, index)
     new.finish(schemas, channels)
     return new.message_count
 
@@ -219,7 +235,17 @@ def _new_chunk(content: bytes, place: Place) -> tuple[Chunk, bytes]:
     return Chunk("", content, place.end_ns, place.start_ns, zlib.crc32(content), len(content)), content
 
 
-def _metadata(source: Path, found: Scan, lost: Sequence[LostPart]) -> dict[str, str]:
+def _new_metadata(source: Path, found: Scan, lost: Sequence[LostPart]) -> dict[str, Mapping[str, str]]:
+    """Return the metadata of the new file: those of the old one, what is lost, and new digests."""
+    kept = {
+        record.name: record.metadata
+        for record in found.metadata
+        if record.name not in (DIGESTS, END_DIGESTS, RECOVERY)
+    }
+    return with_digests({**kept, RECOVERY: _recovery_metadata(source, found, lost)}, DIGESTS)
+
+
+def _recovery_metadata(source: Path, found: Scan, lost: Sequence[LostPart]) -> dict[str, str]:
     messages = [part.messages for part in lost]
     known = sum(count for count in messages if count is not None)
     return {
@@ -227,5 +253,6 @@ def _metadata(source: Path, found: Scan, lost: Sequence[LostPart]) -> dict[str, 
         "complete": "yes" if found.has_end and not lost else "no",
         "bytes lost": str(sum(part.size for part in lost)),
         "messages lost": f"{known} or more" if None in messages else str(known),
+        "damaged metadata": ", ".join(part.reason for part in lost if part.size == 0),
         "hil": __version__,
     }

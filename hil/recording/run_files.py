@@ -1,7 +1,8 @@
 """The files of one run as one: the recorder may begin a new file in the course of a run.
 
-Each file of such a run names the run and its place in it in the metadata ``recording``: ``run id`` and
-``part``, which counts from 1. A run in one file may have neither.
+Each file names the run and its place in it in the metadata ``recording`` (``rotation_names``): ``run id`` and
+``part``. The first files of a long run may have been removed to make room, so the parts may begin with any
+number, but none may be missing among them.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,19 +19,30 @@ from mcap.records import Channel
 from hil.core.errors import RecordingError
 from hil.recording.mcap_chunks import Offsets
 from hil.recording.mcap_reader import McapContents, Rows
-
-RUN_ID, PART = "run id", "part"
-"""Keys in metadata ``recording``: name of the run, equal in all of its files; number of the file, from 1."""
+from hil.recording.metadata_digests import DIGESTS, damaged_metadata
+from hil.recording.rotation_names import PART, RUN_ID, STATE_NAME
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 """A file, a folder with the files of one run, or the files of one run."""
+_COUNTS = "recorder"
+"""Metadata with the numbers of messages that were recorded and dropped; they are added up over the files."""
 
 
 def open_contents(given: Paths) -> McapContents | RunFiles:
     """Open the file or files of a run. Raises RecordingError."""
-    paths = _paths(given)
-    files = [McapContents(path) for path in paths]
+    files = [_checked(McapContents(path)) for path in _paths(given)]
     return files[0] if len(files) == 1 else RunFiles(files)
+
+
+def _checked(file: McapContents) -> McapContents:
+    """Return the file. Raises RecordingError if it was cut off, and its metadata are not those recorded."""
+    damaged = [] if file.is_complete else damaged_metadata(file.metadata)
+    if damaged:
+        raise RecordingError(
+            f"{file.path}: damaged: metadata {', '.join(damaged)} are missing or not as recorded, by their "
+            f"SHA-256 in metadata {DIGESTS}; `hil recover {file.path}` saves what is whole"
+        )
+    return file
 
 
 def _paths(given: Paths) -> list[Path]:
@@ -50,7 +63,9 @@ def _paths(given: Paths) -> list[Path]:
 class RunFiles:
     """The contents of several files of one run, with the interface of :class:`McapContents`.
 
-    Raises RecordingError when the files do not belong to one run, or one of them is missing.
+    Documents and the metadata of the run's begin are those of the first file, and the metadata of its end are
+    those of the last one. Raises RecordingError when the files do not belong to one run, or one of them is
+    missing.
     """
 
     def __init__(self, files: Sequence[McapContents]) -> None:
@@ -61,22 +76,22 @@ class RunFiles:
             raise RecordingError(
                 f"{one} and {other} are of different runs (metadata recording.{RUN_ID}); open them one by one"
             )
-        for expected, (part, path, _) in enumerate(numbered, 1):
-            if part != expected:
-                problem = "is given twice" if part < expected else "is missing"
-                number = part if part < expected else expected
-                raise RecordingError(f"{path}: part {number} of its run {problem}")
-        self._files = [file for _, _, file in numbered]
-        self.path = self._files[0].path
+        for (one_part, _, _), (part, path, _) in pairwise(numbered):
+            if part == one_part:
+                raise RecordingError(f"{path}: part {part} of its run is given twice")
+            if part != one_part + 1:
+                raise RecordingError(f"{path}: part {one_part + 1} of its run is missing")
+        self.files = tuple(file for _, _, file in numbered)
+        """The files, in the order of the run."""
+        self.path = self.files[0].path
         self.attachments: dict[str, bytes] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
+        self.metadata = _merged_metadata(self.files)
         self.channels: dict[str, Channel] = {}
-        for file in self._files:
-            self.attachments |= file.attachments
-            self.metadata |= file.metadata
+        for place, file in enumerate(self.files):
+            later = {name: data for name, data in file.attachments.items() if not place or name != STATE_NAME}
+            self.attachments = {**later, **self.attachments}
             self._add_channels(file)
-        self.metadata["recording"] = self._files[0].metadata["recording"]
-        self.is_complete = all(file.is_complete for file in self._files)
+        self.is_complete = all(file.is_complete for file in self.files)
 
     def _add_channels(self, file: McapContents) -> None:
         for topic, channel in file.channels.items():
@@ -88,7 +103,7 @@ class RunFiles:
     def counts(self) -> dict[str, int]:
         """Number of messages, by topic."""
         total: Counter[str] = Counter()
-        for file in self._files:
+        for file in self.files:
             total.update(file.counts)
         return {topic: total[topic] for topic in self.channels}
 
@@ -102,14 +117,14 @@ class RunFiles:
 
     def chunks(self, topic: str | None = None) -> Iterator[tuple[bytes, Offsets]]:
         """Yield the chunks of all files, as :meth:`McapContents.chunks` does."""
-        for file in self._files:
+        for file in self.files:
             if topic is None or topic in file.channels:
                 yield from file.chunks(topic)
 
     def rows(self, topic: str, frame_id: str, range_ns: tuple[int, int] | None = None) -> Rows:
         """Return all messages of ``topic``, as :meth:`McapContents.rows` does."""
         self.channel(topic)
-        files = [file for file in self._files if topic in file.channels]
+        files = [file for file in self.files if topic in file.channels]
         return np.concatenate([file.rows(topic, frame_id, range_ns) for file in files])
 
     def row_type(self, topic: str, frame_id: str) -> np.dtype[np.void]:
@@ -119,17 +134,33 @@ class RunFiles:
     def first_row(self, topic: str, frame_id: str) -> Rows:
         """Return the first row of :meth:`rows`; an empty array if there is none."""
         self.channel(topic)
-        found = [file.first_row(topic, frame_id) for file in self._files if topic in file.channels]
+        found = [file.first_row(topic, frame_id) for file in self.files if topic in file.channels]
         return next((rows for rows in found if len(rows)), found[0])
 
     def time_range_ns(self) -> tuple[int, int] | None:
         """Return the smallest and the largest log time in epoch ns; None without a message."""
-        ranges = [span for file in self._files if (span := file.time_range_ns()) is not None]
+        ranges = [span for file in self.files if (span := file.time_range_ns()) is not None]
         return (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
 
     def _with(self, topic: str) -> McapContents:
         """Return the first file that has ``topic``, or the first file."""
-        return next((file for file in self._files if topic in file.channels), self._files[0])
+        return next((file for file in self.files if topic in file.channels), self.files[0])
+
+
+def _merged_metadata(files: Sequence[McapContents]) -> dict[str, dict[str, str]]:
+    merged: dict[str, dict[str, str]] = {}
+    for file in files:
+        at_begin = {"recording", DIGESTS, *file.metadata.get(DIGESTS, {})}
+        for name, entries in file.metadata.items():
+            if name not in merged or name not in at_begin:
+                merged[name] = entries
+    counts: Counter[str] = Counter()
+    for file in files:
+        stated = file.metadata.get(_COUNTS, {})
+        counts.update({key: int(count) for key, count in stated.items() if count.isdecimal()})
+    if counts:
+        merged[_COUNTS] = {key: str(count) for key, count in counts.items()}
+    return merged
 
 
 def _part(file: McapContents) -> int:

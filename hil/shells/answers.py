@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 from hil.core.frames import Frame
-from hil.core.output import LogEntry, Output
+from hil.core.output import AxisSignals, Cycle, LogEntry, Output
 from hil.recording import entries
 
 ROUNDING = 1e-9
@@ -72,20 +71,37 @@ class Difference(NamedTuple):
         return f"recorded {recorded}, the core {verb} {replayed}"
 
 
-def answers_in(output: Output, axes: tuple[str, ...]) -> Iterator[Answer]:
+Quick = Frame | LogEntry | Raised | Cycle | tuple[str, int, AxisSignals, int, bool]
+"""An answer of the core as it can be compared fastest: a period as :class:`Cycle`, and an axis as a tuple.
+
+The tuple has the values of ``AxisRecorded`` without its first one.
+"""
+
+
+def answers_in(output: Output, axes: tuple[str, ...]) -> tuple[Quick, ...]:
     """Split an output into answers, in the order in which a session records them."""
-    yield from output.frames
-    yield from output.log
-    if output.cycle is not None:
-        number, deadline_ns, wake_ns, receive_ns, state, fresh, signals = output.cycle
-        for name, values in zip(axes, signals, strict=True):
-            yield AxisAnswer(name, wake_ns, *values, state, fresh)
-        yield PeriodAnswer(number, deadline_ns, wake_ns, receive_ns, state, fresh)
+    frames, log, cycle, _ = output
+    if cycle is None:
+        return frames + log
+    _, _, wake_ns, _, state, fresh, signals = cycle
+    of_axes = [(name, wake_ns, values, state, fresh) for name, values in zip(axes, signals, strict=True)]
+    return (*frames, *log, *of_axes, cycle)
+
+
+def typed(answer: Quick) -> Answer:
+    """Return an answer of the core in the form in which differences are described."""
+    if isinstance(answer, Cycle):
+        number, deadline_ns, wake_ns, receive_ns, state, fresh, _ = answer
+        return PeriodAnswer(number, deadline_ns, wake_ns, receive_ns, state, fresh)
+    if isinstance(answer, Frame | LogEntry | Raised):
+        return answer
+    name, wake_ns, signals, state, fresh = answer
+    return AxisAnswer(name, wake_ns, *signals, state, fresh)
 
 
 def recorded_answer(entry: entries.Answer) -> Answer:
     """Return a recorded answer without the instants that the shell adds: when it was computed and sent."""
-    if isinstance(entry, entries.AxisRecorded):  # The kinds stand in the order of their frequency.
+    if isinstance(entry, entries.AxisRecorded):
         _, name, wake_ns, signals, state, fresh = entry
         return AxisAnswer(name, wake_ns, *signals, state, fresh)
     if isinstance(entry, entries.FrameSent | entries.FrameRefused):

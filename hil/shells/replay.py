@@ -6,19 +6,23 @@ so a file can be replayed alone, on any machine.
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import hashlib
 import json
-from collections import Counter, deque
-from typing import NamedTuple
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 from hil import __version__
 from hil.core.core_state import restore
 from hil.core.errors import HilError, RecordingError, ReplayMismatchError
 from hil.core.gateway import Gateway
-from hil.core.output import Output
+from hil.core.output import NOTHING, Output
 from hil.core.wire.codec import RPDO1_DAC
+from hil.recording import entries
 from hil.recording.entries import (
-    Call,
+    AxisRecorded,
     CycleRecorded,
     DeadlineCalled,
     Entry,
@@ -32,13 +36,14 @@ from hil.recording.entries import (
 from hil.recording.reader import Recording
 from hil.recording.rotation_names import STATE_NAME, is_set_up
 from hil.shells.answers import (
-    Answer,
     Deadline,
     Difference,
+    Quick,
     Raised,
     answers_in,
     difference,
     recorded_answer,
+    typed,
 )
 from hil.shells.run_setup import RunSetup, setup_from_texts
 
@@ -118,84 +123,155 @@ def _gateway(recording: Recording, first_deadline_ns: int) -> Gateway:
 
 def _replay(recording: Recording, gateway: Gateway) -> ReplayReport:
     replay = _Replay(gateway, tuple(recording.axes))
-    first_ns: int | None = None
-    last_ns = 0
-    for number, entry in enumerate(recording.entries(), 1):
-        if first_ns is None:
-            first_ns = entry.now_ns
-        found = replay.take(entry)
-        last_ns = entry.now_ns
-        if found is not None:
-            duration_s = (last_ns - first_ns) * 1e-9
-            raise ReplayMismatchError(f"{duration_s:.6f} s, message {number}: {found}")
+    with _paused_garbage_collection():
+        found, number, first_ns, last_ns = replay.run(recording.entries())
+    if found is not None:
+        raise ReplayMismatchError(f"{(last_ns - first_ns) * 1e-9:.6f} s, message {number}: {found}")
     found = replay.missing_answer()
     if found is not None and recording.complete:
         raise ReplayMismatchError(f"after the last message: {found}")
     recording.check_count()
-    compared = replay.compared
     return ReplayReport(
         replay.calls,
-        compared[FrameSent],
-        compared[Logged],
-        compared[CycleRecorded],
-        0.0 if first_ns is None else (last_ns - first_ns) * 1e-9,
+        replay.frames,
+        replay.log_entries,
+        replay.periods,
+        (last_ns - first_ns) * 1e-9,
         recording.complete,
     )
 
 
-_CALLS = (FrameReceived, DeadlineCalled, Operated, LinkFailed)
+@contextlib.contextmanager
+def _paused_garbage_collection() -> Iterator[None]:
+    """Pause the collection of reference cycles: a replay makes many tuples and no cycle."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+class _Outcome(NamedTuple):
+    """Result of :meth:`_Replay.run`."""
+
+    difference: Difference | None
+    messages: int
+    """Number of messages up to the difference, or up to the end."""
+    first_ns: int
+    last_ns: int
 
 
 class _Replay:
-    """Gives recorded calls to a core, and compares its answers with the recorded ones in their order."""
+    """Gives recorded calls to a core, and compares its answers with the recorded ones in their order.
+
+    An answer that is equal is compared as it is. Only one that is not is brought into a form that names its
+    fields, since computed signals may differ by rounding.
+    """
 
     def __init__(self, gateway: Gateway, axes: tuple[str, ...]) -> None:
         self._gateway = gateway
         self._axes = axes
-        self._pending: deque[Answer] = deque()
+        self._pending: deque[Quick] = deque()
         """Answers to the last call that have not been compared yet."""
         self.calls = 0
-        self.compared: Counter[type[Entry]] = Counter()
-        """Number of recorded answers that were compared, by kind of entry."""
+        self.frames = self.log_entries = self.periods = 0
+        """Numbers of recorded answers that were compared."""
+        self._handlers: dict[type[Entry], Callable[[Any], Difference | None]] = {
+            FrameReceived: self._frame_received,
+            DeadlineCalled: self._deadline_called,
+            Operated: self._operated,
+            LinkFailed: self._link_failed,
+            FrameSent: self._frame_sent,
+            FrameRefused: self._frame_refused,
+            Logged: self._logged,
+            AxisRecorded: self._axis_recorded,
+            CycleRecorded: self._cycle_recorded,
+        }
 
-    def take(self, entry: Entry) -> Difference | None:
-        """Give a recorded call to the core, or compare a recorded answer with the core's next one."""
-        if isinstance(entry, _CALLS):
-            if isinstance(entry, LinkFailed):
-                self._pending.clear()  # An exception while the frames were sent ended the last answer early.
-            return self.missing_answer() or self._call(entry)
-        if isinstance(entry, Logged) and not self._pending:
-            return None  # A log entry of the shell, between two answers of the core.
-        self.compared[type(entry)] += 1
-        if isinstance(entry, FrameRefused) and entry.frame.id == RPDO1_DAC:
-            self._gateway.command_refused(entry.frame)
-        return difference(recorded_answer(entry), self._pending.popleft() if self._pending else None)
+    def run(self, entries: Iterator[Entry]) -> _Outcome:
+        """Take all entries, up to the first difference."""
+        handlers = self._handlers
+        number = first_ns = last_ns = 0
+        for entry in entries:
+            number += 1
+            last_ns = entry[0]
+            if number == 1:
+                first_ns = last_ns
+            found = handlers[type(entry)](entry)
+            if found is not None:
+                return _Outcome(found, number, first_ns, last_ns)
+        return _Outcome(None, number, first_ns, last_ns)
 
     def missing_answer(self) -> Difference | None:
         """Return the core's next answer as a difference, if the recording lacks it."""
-        return Difference(None, self._pending[0]) if self._pending else None
+        return Difference(None, typed(self._pending[0])) if self._pending else None
 
-    def _call(self, call: Call) -> Difference | None:
-        self.calls += 1
+    def _frame_received(self, entry: FrameReceived) -> Difference | None:
+        return self._call(self._gateway.receive, entry.frame, entry.now_ns)
+
+    def _deadline_called(self, entry: DeadlineCalled) -> Difference | None:
         expected_ns = self._gateway.next_deadline_ns
-        if isinstance(call, DeadlineCalled) and call.deadline_ns != expected_ns:
-            return Difference(Deadline(call.deadline_ns), Deadline(expected_ns))
+        if entry.deadline_ns != expected_ns and not self._pending:
+            return Difference(Deadline(entry.deadline_ns), Deadline(expected_ns))
+        return self._call(self._gateway.on_deadline, entry.now_ns)
+
+    def _operated(self, entry: Operated) -> Difference | None:
+        return self._call(self._gateway.operate, entry.request, entry.now_ns)
+
+    def _link_failed(self, entry: LinkFailed) -> Difference | None:
+        self._pending.clear()  # An exception while the frames were sent ended the last answer early.
+        return self._call(self._gateway.link_failed, entry.reason)
+
+    def _call(self, method: Callable[..., Output], *arguments: object) -> Difference | None:
+        """Give a recorded call to the core, unless an answer to the one before is missing."""
+        if self._pending:
+            return self.missing_answer()
+        self.calls += 1
         try:
-            self._pending.extend(answers_in(_output(self._gateway, call), self._axes))
+            output = method(*arguments)
         except HilError:
             raise
         except Exception as error:  # The recorded run may have ended with the same exception.
             self._pending.append(Raised(f"{type(error).__name__}: {error}"))
+        else:
+            if output is not NOTHING:
+                self._pending.extend(answers_in(output, self._axes))
         return None
 
+    def _frame_sent(self, entry: FrameSent) -> Difference | None:
+        self.frames += 1
+        if self._pending and self._pending[0] == entry.frame:
+            self._pending.popleft()
+            return None
+        return self._difference(entry)
 
-def _output(gateway: Gateway, call: Call) -> Output:
-    match call:
-        case FrameReceived():
-            return gateway.receive(call.frame, call.now_ns)
-        case DeadlineCalled():
-            return gateway.on_deadline(call.now_ns)
-        case Operated():
-            return gateway.operate(call.request, call.now_ns)
-        case LinkFailed():
-            return gateway.link_failed(call.reason)
+    def _frame_refused(self, entry: FrameRefused) -> Difference | None:
+        if entry.frame.id == RPDO1_DAC:
+            self._gateway.command_refused(entry.frame)
+        return self._difference(entry)
+
+    def _logged(self, entry: Logged) -> Difference | None:
+        if not self._pending:
+            return None  # A log entry of the shell, between two answers of the core.
+        self.log_entries += 1
+        return self._difference(entry)
+
+    def _axis_recorded(self, entry: AxisRecorded) -> Difference | None:
+        if self._pending and self._pending[0] == entry[1:]:
+            self._pending.popleft()
+            return None
+        return self._difference(entry)
+
+    def _cycle_recorded(self, entry: CycleRecorded) -> Difference | None:
+        self.periods += 1
+        if self._pending and self._pending[0][:6] == entry[1:5] + entry[7:]:
+            self._pending.popleft()
+            return None
+        return self._difference(entry)
+
+    def _difference(self, entry: entries.Answer) -> Difference | None:
+        """Compare a recorded answer with the core's next one field by field."""
+        answer = typed(self._pending.popleft()) if self._pending else None
+        return difference(recorded_answer(entry), answer)

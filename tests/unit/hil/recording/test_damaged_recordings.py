@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 import sys
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from hil.core.errors import RecordingError
 from hil.core.frames import Frame
 from hil.recording.handover import RECORD_HEADER
 from hil.recording.mcap_reader import McapContents
+from hil.recording.metadata_digests import DIGEST_KIND
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
 
@@ -70,26 +72,49 @@ class TestCutOffFiles:
                 damaged.write_bytes(changed)
                 assert Recording(damaged).counts == recording.counts
 
-    @pytest.mark.parametrize("word", [b"setpoints", b"vertical", b"step:0.1@1", b"metadata names", b"0.1.0"])
+    @pytest.mark.parametrize(
+        "word", [b"setpoints", b"vertical", b"step:0.1@1", b"metadata digests", b"0.1.0", b"digests", b"part"]
+    )
     def test_changed_metadata_are_noticed(self, path: Path, tmp_path: Path, word: bytes) -> None:
         content = without_end(path.read_bytes())
         place = content.rindex(word, 0, chunk_starts(content)[0])
         damaged = tmp_path / "damaged.mcap"
         damaged.write_bytes(content[:place] + b"X" + content[place + 1 :])
         with pytest.raises(
-            RecordingError, match=r"damaged: metadata were changed: their SHA-256 is not that"
+            RecordingError,
+            match=r"damaged: metadata .* are missing or not as recorded",
         ):
             Recording(damaged)
+
+    @pytest.mark.parametrize("word", [b"completed", b"reason", b"ending", b"digests of the end", b"1013"])
+    def test_changed_metadata_at_the_end_are_noticed(self, path: Path, tmp_path: Path, word: bytes) -> None:
+        """A file may be cut off after these metadata, before the CRC of its data."""
+        content = _without_summary(path.read_bytes())
+        damaged = tmp_path / "damaged.mcap"
+        for place in _places(content, word, chunk_starts(content)[-1]):
+            damaged.write_bytes(content[:place] + b"X" + content[place + 1 :])
+            with pytest.raises(RecordingError, match=r"damaged: metadata .* are missing or not as recorded"):
+                Recording(damaged)
+
+    def test_metadata_at_the_end_may_be_cut_off(
+        self, path: Path, recording: Recording, tmp_path: Path
+    ) -> None:
+        content = _without_summary(path.read_bytes())
+        torn = tmp_path / "torn.mcap"
+        starts = [start for opcode, start, _ in records(content) if opcode == Opcode.METADATA]
+        for size in range(starts[-3], len(content)):
+            torn.write_bytes(content[:size])
+            opened = Recording(torn)
+            assert not opened.complete
+            assert ("ending" in opened.metadata) == (size >= starts[-1])
+            assert opened.counts == recording.counts
 
     def test_a_recording_without_a_digest_of_its_metadata_is_read(self, path: Path, tmp_path: Path) -> None:
         """Recordings of pneumatic-hil 0.2 have none."""
         content = without_end(path.read_bytes())
-        _, start, end = next(r for r in records(content) if r[0] == Opcode.METADATA)
-        own = {
-            key: value
-            for key, value in Recording(path).metadata["recording"].items()
-            if not key.startswith("metadata ")
-        }
+        (_, start, _), (_, _, end) = [r for r in records(content) if r[0] == Opcode.METADATA][:2]
+        own = Recording(path).metadata["recording"]
+        own.pop(DIGEST_KIND)
         older = tmp_path / "older.mcap"
         older.write_bytes(content[:start] + metadata_record("recording", own) + content[end:])
         assert len(Recording(older).timing()) == PERIODS + 6
@@ -110,6 +135,18 @@ class TestCutOffFiles:
             if not whole:
                 counts = counts or opened.counts
                 assert opened.counts == counts
+
+
+def _without_summary(content: bytes) -> bytes:
+    """Return a file up to the end of its data, without the record that has their CRC."""
+    return content[: next(start for opcode, start, _ in records(content) if opcode == Opcode.DATA_END)]
+
+
+def _places(content: bytes, word: bytes, start: int) -> list[int]:
+    """Return where ``word`` stands in ``content`` from ``start`` on."""
+    found = [start + match.start() for match in re.finditer(re.escape(word), content[start:])]
+    assert found
+    return found
 
 
 def _index_after(content: bytes, chunk: int) -> int:

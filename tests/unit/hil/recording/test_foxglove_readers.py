@@ -1,4 +1,4 @@
-"""A recording through the JavaScript readers of Foxglove, in node: every value is that of this project's reader.
+"""A recording through Foxglove's JavaScript readers, in node: every value is that of this project's reader.
 
 ``tests/node`` names their versions; ``make test`` installs them there with ``npm ci``.
 """

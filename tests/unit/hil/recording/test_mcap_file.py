@@ -62,6 +62,7 @@ def test_the_configuration_comes_before_the_first_message(path: Path) -> None:
     before = records[:first_chunk]
     assert [record.name for record in before if isinstance(record, Attachment)] == ["rig.toml", "arm.dbc"]
     assert [record.name for record in before if isinstance(record, Metadata)] == [
+        "digests",
         "recording",
         "run",
         "setpoints",
@@ -97,7 +98,7 @@ def test_the_statistics_match_the_contents(reader: McapReader) -> None:
     assert statistics.schema_count == len(summary.schemas)
     assert {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()} == TOPICS
     assert all(channel.message_encoding == "cdr" for channel in summary.channels.values())
-    assert statistics.metadata_count == len(list(reader.iter_metadata())) == 5
+    assert statistics.metadata_count == len(list(reader.iter_metadata())) == 7
     attachments = {a.name: (a.media_type, a.data) for a in reader.iter_attachments()}
     assert attachments == RUN_HEADER.attachments
 

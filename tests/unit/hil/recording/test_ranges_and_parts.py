@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -24,10 +25,13 @@ from support.recorded_runs import (
 from hil.core.errors import EnvironmentLackError, RecordingError
 from hil.core.output import LogEntry, Severity
 from hil.recording import open_recording
+from hil.recording.entries import DeadlineCalled
+from hil.recording.handover import RunHeader
 from hil.recording.mcap_reader import McapContents
 from hil.recording.mcap_scan import Place
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
+from hil.recording.rotation_names import STATE_NAME
 
 PERIODS = 2000
 
@@ -111,25 +115,32 @@ class TestRanges:
         assert Recording(path).duration_s == 0.0
 
 
-def write_part(path: Path, part: int, first: int, run: str = "r1", **changes: Any) -> Path:
-    """Record 40 periods as one file of a run in several files; the sequence numbers go on."""
-    own = {"run id": run, "part": str(part)}
-    header = msgspec.structs.replace(
-        RUN_HEADER, metadata={**RUN_HEADER.metadata, "recording": own}, **changes
-    )
-    with in_memory(path):
-        recorder = Recorder(path, header, lossless=True)
-    recorder._sequence = first * 8
-    record_periods(recorder, 40, first=first)
-    recorder.close({"ending": {"reason": f"part {part}"}})
-    return path
+PART_PERIODS = 40
+
+
+def record_parts(
+    folder: Path, count: int, header: RunHeader = RUN_HEADER, pause_before: int = 0
+) -> list[Path]:
+    """Record a run of ``count`` files of 40 periods. Before one of them, the recording may be stopped."""
+    paths = [folder / f"run-{number}.mcap" for number in range(1, count + 1)]
+    with in_memory(paths[0]):
+        recorder = Recorder(paths[0], header, lossless=True)
+    for number, path in enumerate(paths, 1):
+        if number == pause_before:
+            recorder.stop({"ending": {"reason": "stopped"}})
+        if number > 1:
+            state = {STATE_NAME: ("application/json", b"%d" % number)}
+            recorder.begin_file(path, state, {"ending": {"reason": f"part {number - 1}"}})
+        record_periods(recorder, PART_PERIODS, first=PART_PERIODS * (number - 1))
+    recorder.close({"ending": {"reason": f"part {count}"}})
+    return paths
 
 
 @pytest.fixture
 def parts(tmp_path: Path) -> list[Path]:
     folder = tmp_path / "run"
     folder.mkdir()
-    return [write_part(folder / f"run-{n}.mcap", n, 40 * (n - 1)) for n in (1, 2, 3)]
+    return record_parts(folder, 3)
 
 
 class TestRunsInSeveralFiles:
@@ -149,16 +160,34 @@ class TestRunsInSeveralFiles:
                 np.testing.assert_array_equal(np.asarray(run.axis(name)), np.asarray(expected.axis(name)))
             np.testing.assert_array_equal(run.timing().number, np.arange(120))
             assert list(run.entries()) == list(expected.entries())
+            run.check_count()
             assert run.metadata["ending"] == {"reason": "part 3"}
             assert run.metadata["recording"]["part"] == "1"
+            assert run.metadata["recorder"] == {"messages": "960"}
             assert len(run.between(0.3, 0.6).timing()) == pytest.approx(0.3 / PERIOD_S, abs=1)
             assert run.duration_s == expected.duration_s
+
+    def test_the_recorder_names_the_run_and_the_part(self, parts: list[Path], tmp_path: Path) -> None:
+        own = [Recording(path).metadata["recording"] for path in parts]
+        assert [entries["part"] for entries in own] == ["1", "2", "3"]
+        assert len({entries["run id"] for entries in own}) == 1
+        (other,) = record_parts(tmp_path, 1, msgspec.structs.replace(RUN_HEADER, epoch_offset_ns=10**18))
+        assert Recording(other).metadata["recording"]["run id"] != own[0]["run id"]
+
+    def test_the_state_of_the_core_is_that_of_the_first_file(self, parts: list[Path]) -> None:
+        assert STATE_NAME not in open_recording(parts).attachments
+        later = open_recording(parts[1:])
+        assert later.attachments[STATE_NAME] == b"2"
+        assert later.metadata["documents"][STATE_NAME] == hashlib.sha256(b"2").hexdigest()
+
+    def test_the_first_files_may_have_been_removed(self, parts: list[Path]) -> None:
+        run = open_recording(parts[1:])
+        np.testing.assert_array_equal(run.timing().number, np.arange(40, 120))
+        assert sum(isinstance(entry, DeadlineCalled) for entry in run.entries()) == 80
 
     def test_a_missing_part_is_named(self, parts: list[Path]) -> None:
         with pytest.raises(RecordingError, match=r"run-3\.mcap: part 2 of its run is missing"):
             open_recording([parts[0], parts[2]])
-        with pytest.raises(RecordingError, match=r"run-2\.mcap: part 1 of its run is missing"):
-            open_recording(parts[1:])
 
     def test_a_part_given_twice_is_named(self, parts: list[Path], tmp_path: Path) -> None:
         copy = tmp_path / "copy.mcap"
@@ -166,18 +195,32 @@ class TestRunsInSeveralFiles:
         with pytest.raises(RecordingError, match=r"part 2 of its run is given twice"):
             open_recording([*parts, copy])
 
+    def test_a_pause_ends_what_can_be_replayed_together(self, tmp_path: Path) -> None:
+        parts = record_parts(tmp_path, 3, pause_before=3)
+        run = open_recording(parts)
+        assert len(run.timing()) == 120
+        found = run.entries()
+        for _ in range(2 * PART_PERIODS * 8):
+            next(found)
+        with pytest.raises(RecordingError, match=r"run-3\.mcap: the recording was stopped before this file"):
+            next(found)
+
     def test_files_of_other_runs_are_refused(self, parts: list[Path], tmp_path: Path) -> None:
-        other = write_part(tmp_path / "other.mcap", 2, 40, run="r2")
+        header = msgspec.structs.replace(RUN_HEADER, bus="can7")
+        other = record_parts(tmp_path, 2, header)[1]
         with pytest.raises(RecordingError, match="are of different runs"):
             open_recording([parts[0], other])
-        single = tmp_path / "single.mcap"
-        record_run(single, 20)
-        with pytest.raises(RecordingError, match=r"single\.mcap: is not a part of a run in several files"):
-            open_recording([parts[0], single])
+
+    def test_a_file_that_names_no_part_is_refused(self, parts: list[Path]) -> None:
+        earlier = Path(__file__).parents[3] / "data" / "hil-0.2.0-run.mcap"
+        with pytest.raises(RecordingError, match=r"run\.mcap: is not a part of a run in several files"):
+            open_recording([parts[0], earlier])
 
     def test_parts_with_other_channels_are_refused(self, parts: list[Path], tmp_path: Path) -> None:
-        header = {"axes": (("horizontal", "m"), ("vertical", "m"), ("rotation", "rad"))}
-        other = write_part(tmp_path / "other.mcap", 2, 40, **header)
+        axes = (("horizontal", "m"), ("vertical", "m"), ("rotation", "rad"))
+        own = {key: Recording(parts[0]).metadata["recording"][key] for key in ("run id", "part")}
+        header = msgspec.structs.replace(RUN_HEADER, axes=axes, metadata={"recording": {**own, "part": "2"}})
+        (other,) = record_parts(tmp_path, 1, header)
         with pytest.raises(RecordingError, match="/axis/horizontal has another channel id than in"):
             open_recording([parts[0], other])
 

@@ -41,6 +41,7 @@ from hil.recording.entries import (
     Operated,
 )
 from hil.recording.handover import Progress
+from hil.recording.metadata_digests import digest
 from hil.recording.reader import Recording
 from hil.recording.recorder import BATCH_BYTES, Recorder, RecorderReport
 
@@ -103,8 +104,15 @@ def test_all_calls_and_answers_can_be_read_back(tmp_path: Path) -> None:
             "epoch_offset_ns": str(EPOCH_OFFSET_NS),
             "bus": "vcan0",
             "stamp_origin": "kernel",
-            "metadata names": '["recording", "run", "setpoints"]',
-            "metadata sha256": recording.metadata["recording"]["metadata sha256"],
+            "run id": recording.metadata["recording"]["run id"],
+            "part": "1",
+            "metadata digests": "sha256",
+        },
+        "digests": {
+            name: digest(name, recording.metadata[name]) for name in ("recording", "run", "setpoints")
+        },
+        "digests of the end": {
+            name: digest(name, recording.metadata[name]) for name in ("ending", "recorder")
         },
         "ending": {"reason": "link"},
         "recorder": {"messages": "10"},
