@@ -23,7 +23,8 @@ request           keys besides ``id``            effect
 ``start``                                        armed -> running: the controllers move the valves
 ``stop``                                         running -> armed: the valves are centred
 ``reset``                                        fault -> offline
-``setpoint``      ``axis``, ``setpoint``         changes the setpoint; its time 0 is now
+``setpoint``      ``axis``, ``setpoint``,        changes the setpoint; its time 0 is now. ``table`` is the
+                  ``table`` (optional)           text of the file that a setpoint ``csv:FILE`` names
 ``controller``    ``axis``, ``name``,            changes the controller; ``document`` is the text of a
                   ``document``                   controller file, ``name`` is its name in messages
 ``jog``           ``axis``, ``offset_v``,        moves one axis with a constant valve voltage, then centres
@@ -106,12 +107,14 @@ class ResetCall(Call, frozen=True, tag="reset"):
     """Leave state fault."""
 
 
-class SetpointCall(Call, frozen=True, tag="setpoint"):
+class SetpointCall(Call, frozen=True, tag="setpoint", omit_defaults=True):
     """Change the setpoint of an axis."""
 
     axis: AxisName
     setpoint: ShortText
-    """Setpoint as in a rig file, such as ``step:0.05@0``."""
+    """Setpoint as in a rig file, such as ``step:0.05@0``, or a number."""
+    table: str = ""
+    """Text of the file that a setpoint ``csv:FILE`` names."""
 
 
 class ControllerCall(Call, frozen=True, tag="controller"):

@@ -194,7 +194,7 @@ class OperatorPort:
             return reply
         request = _core_request(asked.call, self._failures)
         if request is not None:
-            return session.operate(request, asked.asked_by, asked.prepared)
+            return session.operate(request, asked.asked_by, asked.prepared or asked.table)
         action = self._actions.get(type(asked.call))
         if action is None:
             return Reply(False, "this daemon does not know the request")
@@ -260,7 +260,7 @@ def _core_request(call: LoopCall, failures: tuple[CheckFailure, ...]) -> Request
         case ArmCall():
             return arm_request(failures, call.override)
         case SetpointCall():
-            return SetpointRequest(call.axis, call.setpoint)
+            return SetpointRequest(call.axis, call.setpoint, call.table)
         case ControllerCall():
             return ControllerRequest(call.axis, call.name, call.document)
         case JogCall():

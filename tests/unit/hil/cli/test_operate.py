@@ -75,6 +75,27 @@ def test_setpoints_are_numbers_or_texts(bench: Bench) -> None:
     ]
 
 
+def test_the_table_of_a_setpoint_is_read_here_and_checked_by_the_server(
+    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, at = bench
+    table = tmp_path / "t.csv"
+    table.write_text("0,0\n1,0.05\n")
+    assert main(["setpoint", f"vertical=csv:{table}", *at]) == 0
+    (asked,) = loop.asked
+    assert asked.call == SetpointCall(id=1, axis="vertical", setpoint=f"csv:{table}", table="0,0\n1,0.05\n")
+    assert asked.table is not None
+    assert (asked.table.times, asked.table.values) == ((0.0, 1.0), (0.0, 0.05))
+    table.write_text("0,0\n1,9\n")
+    assert main(["setpoint", f"vertical=csv:{table}", *at]) == 1
+    assert "setpoint refused: vertical: setpoint" in capsys.readouterr().err
+    assert main(["setpoint", "elbow=csv:" + str(table), *at]) == 1
+    assert "there is no axis 'elbow'" in capsys.readouterr().err
+    assert main(["setpoint", f"vertical=csv:{tmp_path / 'none.csv'}", *at]) == 2
+    assert "none.csv: cannot be read" in capsys.readouterr().err
+    assert len(loop.asked) == 1
+
+
 def test_a_controller_is_a_file_or_a_shipped_one(bench: Bench) -> None:
     loop, at = bench
     assert main(["controller", "vertical=ppid", *at]) == 0
