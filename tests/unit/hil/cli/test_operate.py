@@ -206,9 +206,10 @@ def test_the_status_as_a_text(bench: Bench, capsys: pytest.CaptureFixture[str]) 
     assert main(["status", *at]) == 0
     assert capsys.readouterr().out.splitlines() == [
         "ready     can7, period 100 of 11.2 ms",
-        "timing    late up to 0.12 ms, missed 0, rejected 0, lost 0",
+        "timing    late up to 0.12 ms in the last 0.1 s, up to 6.50 ms since the start",
+        "counts    since the start: 2 periods missed, 0 frames rejected, 0 samples lost",
         "  vertical      +0.0123 m    setpoint  +0.0500 m    valve  6.20 V",
-        "  rotation            – rad  setpoint        – rad  valve  5.00 V",
+        "  rotation      unknown rad  setpoint  unknown rad  valve  5.00 V",
         "record    runs/one.mcap",
     ]
 
@@ -247,7 +248,7 @@ def test_watching_shows_the_log_above_the_status(
     assert "\x1b" not in shown
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
     show_live(looks())
-    assert "\x1b[5F\x1b[Jarmed" in capsys.readouterr().out
+    assert "\x1b[6F\x1b[Jarmed" in capsys.readouterr().out
 
 
 def test_each_look_is_a_line_of_json(capsys: pytest.CaptureFixture[str]) -> None:
