@@ -47,7 +47,8 @@ def render(summary: Summary) -> RenderableType:
         notes.append(f"interrupted after {summary.controlled_s:.0f} s{requested}")
     if _has_timing(summary):
         tables.append(_loop_table(summary))
-    return Group(*map(_Whole, tables), _counts(summary), _losses(summary), *notes)
+    parts = [part for table in tables for part in (_Whole(table), "")]
+    return Group(*parts, _counts(summary), _losses(summary), *notes)
 
 
 class _Whole:
@@ -66,7 +67,7 @@ class _Whole:
 
 
 def _table(*headers: str) -> Table:
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
     for header in headers:
         table.add_column(header, overflow="fold")
     return table
