@@ -264,7 +264,8 @@ SETPOINT = OperatorCommand(
     _add_setpoint_arguments,
     _set_setpoints,
     "A number is a position in the axis' unit, m or rad. Other setpoints, whose time 0 is now:\n\n"
-    + "".join(f"  {form}\n" for kind, form in FORMS.items() if kind != "csv"),
+    + "".join(f"  {form}\n" for form in FORMS.values())
+    + "\nThe file of csv:FILE has columns time_s,setpoint and at most 64 kB.",
 )
 CONTROLLER = OperatorCommand(
     "controller",

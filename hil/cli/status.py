@@ -18,6 +18,10 @@ from hil.views.log_lines import log_line
 DESCRIPTION = """\
 Show the state of the running daemon: positions, setpoints, valve voltages, timing, and a fault. Exit status:
 0, or 1 if the daemon is in state fault or no daemon runs."""
+EPILOG = """\
+A period is missed if the loop was so late that it skipped the period or sent no SYNC in it. A frame is
+rejected by a check, such as of its CRC or its age. A sample is lost if the counter of the ADC board shows
+that it was sent and it did not arrive. A value is unknown before the first sample."""
 UP_AND_CLEAR = "\x1b[{lines}F\x1b[J"
 """Terminal sequence that goes up by some lines and erases what is below."""
 
@@ -28,7 +32,7 @@ MIN_INTERVAL_S, MAX_INTERVAL_S = 0.05, 60.0
 
 def parser() -> CommandParser:
     """Return the parser of the arguments of ``hil status``."""
-    command = CommandParser(prog="hil status", description=DESCRIPTION)
+    command = CommandParser(prog="hil status", description=DESCRIPTION, epilog=EPILOG)
     command.add_argument("--watch", action="store_true", help="show it again and again, with the log")
     command.add_argument(
         "--interval",
@@ -110,14 +114,16 @@ def status_lines(status: Status) -> list[str]:
     bus = "simulated boards" if status.is_simulated else status.bus
     lines = [
         f"{status.state:8}  {bus}, period {status.period} of {status.period_s * 1e3:g} ms",
-        f"{'timing':8}  late up to {status.max_lateness_ms:.2f} ms, missed {status.missed_periods}, "
-        f"rejected {status.rejected_frames}, lost {status.lost_samples}",
+        f"{'timing':8}  late up to {status.max_lateness_ms:.2f} ms in the last 0.1 s, up to "
+        f"{status.max_lateness_since_start_ms:.2f} ms since the start",
+        f"{'counts':8}  since the start: {status.missed_periods} periods missed, {status.rejected_frames} "
+        f"frames rejected, {status.lost_samples} samples lost",
     ]
     for axis in status.axes:
-        command = "–" if axis.command_v is None else f"{axis.command_v:.2f}"
+        command = "unknown" if axis.command_v is None else f"{axis.command_v:.2f} V"
         lines.append(
             f"  {axis.name:12} {_signed(axis.position)} {axis.unit:3}  setpoint {_signed(axis.setpoint)} "
-            f"{axis.unit:3}  valve {command:>5} V"
+            f"{axis.unit:3}  valve {command:>7}"
         )
     lines.append(f"{'record':8}  {status.recording or 'nothing is recorded'}")
     if status.overridden_checks:
@@ -132,5 +138,5 @@ def status_lines(status: Status) -> list[str]:
 
 
 def _signed(value: float | None) -> str:
-    """Return the number with its sign, or a dash if it is not known."""
-    return f"{'–':>8}" if value is None else f"{value:+8.4f}"
+    """Return the number with its sign, or ``unknown`` before the first sample."""
+    return f"{'unknown':>8}" if value is None else f"{value:+8.4f}"

@@ -25,7 +25,6 @@ from hil.core.axis_loops import AxisLoops, LoopFailure
 from hil.core.board_supervision import BoardSupervision
 from hil.core.board_watch import NmtState
 from hil.core.control_law import ControlLaw
-from hil.core.controller_change import PreparedController
 from hil.core.excited_loop import ExcitedLoop
 from hil.core.experiment import Experiment
 from hil.core.foreign_frames import ForeignFrames, Intrusion, UnknownFrame
@@ -35,7 +34,7 @@ from hil.core.jog import JogEnd
 from hil.core.jogging import Jogging
 from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger
 from hil.core.operating_state import OperatingState
-from hil.core.operator_requests import OperatorRequests
+from hil.core.operator_requests import OperatorRequests, Prepared
 from hil.core.output import NOTHING, Cycle, LogEntry, LogThrottle, Output, Severity, combine
 from hil.core.period_clock import PeriodClock
 from hil.core.phase import Phase
@@ -191,16 +190,17 @@ class Gateway:
         answer = self._boards.receive_answer(identifier, data, now_ns)
         return self._receive_foreign(frame) if answer is None else answer
 
-    def operate(self, request: Request, now_ns: int, prepared: PreparedController | None = None) -> Output:
+    def operate(self, request: Request, now_ns: int, prepared: Prepared | None = None) -> Output:
         """Take an operator's request, or refuse it. The output's ``reply`` says what happened, or why not.
 
-        ``prepared`` is the result of ``controller_change.prepare_controller`` for this request, if another
-        process has read the controller already. It saves time and changes nothing else.
+        ``prepared`` is the result of ``controller_change.prepare_controller`` or
+        ``setpoint_change.prepare_setpoint`` for this request, if another process has read the controller or
+        the table already. It saves time and changes nothing else.
         """
         checked = self._protection.check(now_ns)
         return combine(checked, self._take_request(request, now_ns, prepared))
 
-    def _take_request(self, request: Request, now_ns: int, prepared: PreparedController | None) -> Output:
+    def _take_request(self, request: Request, now_ns: int, prepared: Prepared | None) -> Output:
         match request:
             case SetpointRequest() | ControllerRequest():
                 return self._change(request, prepared)
@@ -211,9 +211,7 @@ class Gateway:
         text = "; ".join(entry.text for entry in output.log)
         return output._replace(reply=Reply(self._state.current is not before, text))
 
-    def _change(
-        self, request: SetpointRequest | ControllerRequest, prepared: PreparedController | None
-    ) -> Output:
+    def _change(self, request: SetpointRequest | ControllerRequest, prepared: Prepared | None) -> Output:
         output = self._requests.change(request, self._is_controlling, prepared)
         is_accepted = output.reply is not None and output.reply.accepted
         if is_accepted and isinstance(request, ControllerRequest):

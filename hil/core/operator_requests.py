@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 from hil.core.axis_loops import AxisLoops
 from hil.core.control_law import ControlLaw, Matching
 from hil.core.controller_change import PreparedController, digest_of, prepare_controller
@@ -11,17 +9,16 @@ from hil.core.errors import SetpointError
 from hil.core.output import Output, answer
 from hil.core.requests import ControllerRequest, JogRequest, Reply, SetpointRequest
 from hil.core.rig import Rig
-from hil.core.setpoints import Setpoint, check_speed, check_within, csv_file, parse_setpoint
+from hil.core.setpoint_change import PreparedSetpoint, read_request
 from hil.core.suggestions import did_you_mean
 
 SMALL_BUMP_V = 1e-6
 """Change of a valve voltage in V that is not reported: far below the 0.3 mV that a frame can carry."""
 MAX_NAME = 200
 """Longest name of an axis or of a controller file in a request, in characters."""
-MAX_SETPOINT = 1000
-"""Longest text of a setpoint in a request, in characters."""
+Prepared = PreparedController | PreparedSetpoint
+"""What another process has read and checked for a request."""
 LOOP_NOT_CHECKED = "; the file holds no plant as numbers, so the closed loop was not checked"
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
 class OperatorRequests:
@@ -48,7 +45,7 @@ class OperatorRequests:
         self,
         request: SetpointRequest | ControllerRequest,
         is_running: bool,
-        prepared: PreparedController | None,
+        prepared: Prepared | None,
     ) -> Output:
         """Change a setpoint or a controller, or refuse.
 
@@ -59,12 +56,16 @@ class OperatorRequests:
         if refusal is not None:
             return refusal
         if isinstance(request, SetpointRequest):
-            return answer(request.axis, self._change_setpoint(request, is_running))
-        return answer(request.axis, self._change_controller(request, is_running, prepared))
+            table = prepared if isinstance(prepared, PreparedSetpoint) else None
+            return answer(request.axis, self._change_setpoint(request, is_running, table))
+        controller = prepared if isinstance(prepared, PreparedController) else None
+        return answer(request.axis, self._change_controller(request, is_running, controller))
 
-    def _change_setpoint(self, request: SetpointRequest, is_running: bool) -> Reply:
+    def _change_setpoint(
+        self, request: SetpointRequest, is_running: bool, prepared: PreparedSetpoint | None
+    ) -> Reply:
         try:
-            setpoint = self._read_setpoint(request)
+            setpoint = read_request(request, self._rig, prepared)
         except SetpointError as error:
             return Reply(False, f"setpoint refused: {error}")
         self._loops.change_setpoint(request.axis, setpoint, is_running)
@@ -92,20 +93,6 @@ class OperatorRequests:
         matching = self._loops.change_law(request.axis, law, is_running)
         text = f"controller {request.name} {self._describe(request.axis, matching)}"
         return Reply(True, text if prepared.is_loop_checked else text + LOOP_NOT_CHECKED)
-
-    def _read_setpoint(self, request: SetpointRequest) -> Setpoint:
-        """Read a setpoint and check it against the limits of its axis. Raises SetpointError."""
-        name, text = request
-        axis = self._rig.axes[name]
-        if len(text) > MAX_SETPOINT:
-            raise SetpointError(f"{name}: the text has {len(text)} characters, limit {MAX_SETPOINT}")
-        if csv_file(text) is not None:
-            raise SetpointError(f"{name}: {text!r}: a file cannot be the setpoint of a gateway that runs")
-        setpoint = parse_setpoint(f"step:{text}@0" if _NUMBER.fullmatch(text) else text)
-        check_within(setpoint, name, axis.min_y, axis.max_y, axis.unit)
-        key = f"axes.{name}.operator.setpoint_max_speed"
-        check_speed(setpoint, name, axis.operator_limits.max_speed, axis.unit, key)
-        return setpoint
 
     def _describe(self, name: str, matching: Matching | None) -> str:
         """Return how a controller took over, with the size of a bump."""

@@ -12,7 +12,9 @@ class SetpointRequest(NamedTuple):
 
     axis: str
     setpoint: str
-    """Setpoint as in a rig file; its time 0 is the period in which it takes over."""
+    """Setpoint as in a rig file, or a number; its time 0 is the period in which it takes over."""
+    table: str = ""
+    """Text of the file that a ``csv:FILE`` setpoint names."""
 
 
 class ControllerRequest(NamedTuple):

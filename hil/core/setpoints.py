@@ -275,13 +275,17 @@ def _from_csv(text: str, content: str, file: str) -> Setpoint:
     if not times:
         raise SetpointError(f"{file}: no rows of time_s,setpoint")
 
+    return table_setpoint(text, tuple(times), tuple(values))
+
+
+def table_setpoint(text: str, times: tuple[float, ...], values: tuple[float, ...]) -> Setpoint:
+    """Return the setpoint of a table that was read: one row or more, the times in ascending order."""
     slopes = [
         abs(after - before) / (end - start)
         for (start, before), (end, after) in pairwise(zip(times, values, strict=True))
         if end > start
     ]
-    at = Table(tuple(times), tuple(values))
-    return Setpoint(text, at, min(values), max(values), max(slopes, default=0.0))
+    return Setpoint(text, Table(times, values), min(values), max(values), max(slopes, default=0.0))
 
 
 def _rows(content: str, file: str) -> Iterator[list[str]]:

@@ -26,6 +26,8 @@ _MCL_FUTURE: Final = 2  # linux: asm-generic/mman.h
 _PR_SET_TIMERSLACK: Final = 29  # linux: linux/prctl.h
 _PR_GET_TIMERSLACK: Final = 30  # linux: linux/prctl.h
 _CAP_IPC_LOCK: Final = 14  # linux: linux/capability.h
+NEEDS_FIFO: Final = "not useful without SCHED_FIFO"
+"""Detail of a right that is not asked for because SCHED_FIFO was refused."""
 POLLING_IS_OFF: Final = "turned off (rig: loop.poll_before_deadline_s)"
 """Detail of the right to poll if the rig file does not want it."""
 _MIN_RTTIME_US: Final = 200_000
@@ -55,10 +57,14 @@ class Rights(tuple[Right, ...]):
     """Time before each deadline in which the loop may poll instead of sleeping, in nanoseconds."""
 
     def __str__(self) -> str:
-        """Return one line: what was granted, and what was refused and why."""
-        granted = ", ".join(f"{right.name} ({right.detail})" for right in self if right.is_granted)
-        refused = ", ".join(f"{right.name} ({right.detail})" for right in self if not right.is_granted)
-        return f"granted: {granted or 'nothing'}; refused: {refused or 'nothing'}"
+        """Return one line: what was refused and why, and what was granted. The metadata has all details."""
+        granted = ", ".join(right.name for right in self if right.is_granted) or "nothing"
+        refused = ", ".join(
+            right.name if right.detail == NEEDS_FIFO else f"{right.name} ({right.detail})"
+            for right in self
+            if not right.is_granted
+        )
+        return f"refused: {refused}; granted: {granted}" if refused else f"granted: {granted}"
 
     def as_metadata(self) -> dict[str, str]:
         """Return for each name a text ``granted: …`` or ``refused: …``, for the recording."""
@@ -146,7 +152,7 @@ def _take_processor(restore: contextlib.ExitStack) -> str:
     before = os.sched_getaffinity(0)
     chosen = max(_isolated_processors() & before, default=max(before))
     if not _is_fifo():
-        raise OSError(0, "not useful without SCHED_FIFO")
+        raise OSError(0, NEEDS_FIFO)
     os.sched_setaffinity(0, {chosen})
     restore.callback(os.sched_setaffinity, 0, before)
     return f"number {chosen} of {len(before)}"
@@ -161,7 +167,7 @@ def _allow_polling(wanted_s: float, processors: int, _restore: contextlib.ExitSt
     if wanted_s <= 0:
         raise OSError(0, POLLING_IS_OFF)
     if not _is_fifo():
-        raise OSError(0, "not useful without SCHED_FIFO")
+        raise OSError(0, NEEDS_FIFO)
     if processors < 2:
         raise OSError(0, "needs more than one processor")
     return f"{1e6 * wanted_s:g} us before each deadline"

@@ -12,6 +12,8 @@ from typing import Self, TypeVar
 import msgspec
 
 from hil.core.errors import OperationError, RequestRefusedError
+from hil.core.setpoint_change import MAX_TABLE_CHARACTERS
+from hil.core.setpoints import csv_file
 from hil.host.text_file import MAX_DOCUMENT_BYTES, read_text
 from hil.operation.protocol import (
     MAX_LINE_BYTES,
@@ -133,10 +135,14 @@ class Client:
 
         A number is a position in the axis' unit. A text is a setpoint as in a rig file, such as
         ``"sine:0.05@0/4"``; its time 0 is now. In state running, the axis approaches it within the limits of
-        the rig file.
+        the rig file. This process reads the file of a setpoint ``"csv:FILE"``.
+
+        Raises DocumentError if the file cannot be read.
         """
         text = setpoint if isinstance(setpoint, str) else f"step:{float(setpoint)!r}@0"
-        return self._ask(SetpointCall(id=self._next_id(), axis=axis, setpoint=text)).text
+        file = csv_file(text)
+        table = "" if file is None else read_text(Path(file), MAX_TABLE_CHARACTERS)
+        return self._ask(SetpointCall(id=self._next_id(), axis=axis, setpoint=text, table=table)).text
 
     def set_controller(self, axis: str, file: str | os.PathLike[str]) -> str:
         """Change the controller of ``axis`` to that of a controller file. This process reads the file.

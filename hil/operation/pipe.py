@@ -12,6 +12,7 @@ import socket
 import msgspec
 
 from hil.core.controller_change import PreparedController
+from hil.core.setpoint_change import PreparedSetpoint
 from hil.operation.protocol import LogLine, LoopCall, Status
 
 MAX_MESSAGE_BYTES = 160 * 1024
@@ -32,6 +33,8 @@ class Asked(msgspec.Struct, frozen=True, array_like=True, tag="asked"):
     call: LoopCall
     prepared: PreparedController | None = None
     """The controller of the request, read and checked."""
+    table: PreparedSetpoint | None = None
+    """The table of the request's setpoint, read and checked."""
 
 
 class Replied(msgspec.Struct, frozen=True, array_like=True, tag="reply"):

@@ -23,7 +23,8 @@ request           keys besides ``id``            effect
 ``start``                                        armed -> running: the controllers move the valves
 ``stop``                                         running -> armed: the valves are centred
 ``reset``                                        fault -> offline
-``setpoint``      ``axis``, ``setpoint``         changes the setpoint; its time 0 is now
+``setpoint``      ``axis``, ``setpoint``,        changes the setpoint; its time 0 is now. ``table`` is the
+                  ``table`` (optional)           text of the file that a setpoint ``csv:FILE`` names
 ``controller``    ``axis``, ``name``,            changes the controller; ``document`` is the text of a
                   ``document``                   controller file, ``name`` is its name in messages
 ``jog``           ``axis``, ``offset_v``,        moves one axis with a constant valve voltage, then centres
@@ -106,12 +107,14 @@ class ResetCall(Call, frozen=True, tag="reset"):
     """Leave state fault."""
 
 
-class SetpointCall(Call, frozen=True, tag="setpoint"):
+class SetpointCall(Call, frozen=True, tag="setpoint", omit_defaults=True):
     """Change the setpoint of an axis."""
 
     axis: AxisName
     setpoint: ShortText
-    """Setpoint as in a rig file, such as ``step:0.05@0``."""
+    """Setpoint as in a rig file, such as ``step:0.05@0``, or a number."""
+    table: str = ""
+    """Text of the file that a setpoint ``csv:FILE`` names."""
 
 
 class ControllerCall(Call, frozen=True, tag="controller"):
@@ -218,14 +221,19 @@ class Status(msgspec.Struct, frozen=True):
     time_ns: int
     """Time of this status, in nanoseconds since 1970."""
     max_lateness_ms: float
-    """Largest delay of a period's begin since the last status, in milliseconds."""
+    """Largest delay of a period's begin in the last 0.1 s, in milliseconds."""
     missed_periods: int
+    """Number of periods since the start that were skipped, or sent no SYNC, because the loop was late."""
     rejected_frames: int
+    """Number of samples, heartbeats and emergency messages since the start that a check has rejected."""
     lost_samples: int
+    """Number of samples since the start that were lost on their way, by the ADC board's counter."""
     recording: str | None
     """Path of the recording, or None if nothing is recorded."""
     axes: tuple[AxisStatus, ...]
     """Signals of every axis, in the order of the rig file."""
+    max_lateness_since_start_ms: float = 0.0
+    """Largest delay of a period's begin since the start, in milliseconds."""
     overridden_checks: tuple[str, ...] = ()
     """Failed checks that an operator has overridden to arm."""
     log: tuple[LogLine, ...] = ()

@@ -20,10 +20,12 @@ from pathlib import Path
 import msgspec
 
 from hil.core.controller_change import PreparedController, prepare_controller
-from hil.core.errors import DocumentError, HilError
+from hil.core.errors import DocumentError, HilError, SetpointError
+from hil.core.operator_requests import Prepared
 from hil.core.output import LogThrottle, Severity
-from hil.core.requests import ControllerRequest
+from hil.core.requests import ControllerRequest, SetpointRequest
 from hil.core.rig import read_rig
+from hil.core.setpoint_change import PreparedSetpoint, prepare_setpoint
 from hil.core.suggestions import did_you_mean
 from hil.operation.pipe import MAX_MESSAGE_BYTES, Asked, Facts, FromLoop, Logged, Replied, StatusNow
 from hil.operation.protocol import (
@@ -39,6 +41,7 @@ from hil.operation.protocol import (
     Greeting,
     LogLine,
     LoopCall,
+    SetpointCall,
     Status,
     StatusCall,
     Update,
@@ -125,11 +128,13 @@ class Server:
                 if future is not None and not future.done():
                     future.set_result(reply)
 
-    async def _ask_loop(self, call: LoopCall, asked_by: str, prepared: PreparedController | None) -> Answer:
+    async def _ask_loop(self, call: LoopCall, asked_by: str, prepared: Prepared | None) -> Answer:
         self._number += 1
         number = self._number
+        controller = prepared if isinstance(prepared, PreparedController) else None
+        table = prepared if isinstance(prepared, PreparedSetpoint) else None
         try:
-            self._pipe.send(msgspec.msgpack.encode(Asked(number, asked_by, call, prepared)))
+            self._pipe.send(msgspec.msgpack.encode(Asked(number, asked_by, call, controller, table)))
         except OSError:  # it is full, or the message is too large for it
             return Answer(
                 id=call.id, accepted=False, text="the loop takes no requests at the moment; try again"
@@ -238,21 +243,37 @@ class Server:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._has_loop_ended.wait(), call.interval_s)
 
-    def _check(self, call: LoopCall) -> PreparedController | None:
-        """Check what takes long to check, and return a controller that was prepared. Raises HilError."""
-        if isinstance(call, EventCall):
-            self._check_event(call.text)
-        if not isinstance(call, ControllerCall):
-            return None
-        if call.axis not in self._rig.axes:
+    def _check(self, call: LoopCall) -> Prepared | None:
+        """Check what takes long to check, and return a controller or a table that was read.
+
+        Raises HilError.
+        """
+        match call:
+            case EventCall():
+                self._check_event(call.text)
+            case ControllerCall():
+                self._check_axis(call.axis)
+                request = ControllerRequest(call.axis, call.name, call.document)
+                controller = prepare_controller(request, self._rig)
+                if controller.refusal:
+                    raise DocumentError(f"controller refused: {controller.refusal}")
+                return controller
+            case SetpointCall():
+                self._check_axis(call.axis)
+                table = prepare_setpoint(SetpointRequest(call.axis, call.setpoint, call.table), self._rig)
+                if table is not None and table.refusal:
+                    raise SetpointError(f"setpoint refused: {table.refusal}")
+                return table
+        return None
+
+    def _check_axis(self, name: str) -> None:
+        """Check that the rig has an axis. Raises DocumentError."""
+        axes = self._rig.axes
+        if name not in axes:
             raise DocumentError(
-                f"there is no axis {call.axis!r}: the axes of the rig are {', '.join(self._rig.axes)}"
-                f"{did_you_mean(call.axis, self._rig.axes)}"
+                f"there is no axis {name!r}: the axes of the rig are {', '.join(axes)}"
+                f"{did_you_mean(name, axes)}"
             )
-        prepared = prepare_controller(ControllerRequest(call.axis, call.name, call.document), self._rig)
-        if prepared.refusal:
-            raise DocumentError(f"controller refused: {prepared.refusal}")
-        return prepared
 
     def _log_refusal(self, asked_by: str, reason: str) -> None:
         """Give the loop a log entry about a request that it never saw."""

@@ -5,8 +5,9 @@ A trigger of the run's own plan is its bare value, such as ``start``. Every othe
     {"request": "setpoint", "axis": "vertical", "setpoint": "step:0.1@0", "asked_by": "uid 1000, pid 4711"}
 
 ``request`` is the value of a trigger, or ``setpoint``, ``controller`` or ``jog``; the other keys are the
-fields of the request. The trigger ``arm`` has the keys ``failures`` and ``overrides`` if a check before
-arming has failed or is overridden. ``asked_by`` says who asked, as the shell that took the request knows it.
+fields of the request, without those that have their default. The trigger ``arm`` has the keys ``failures``
+and ``overrides`` if a check before arming has failed or is overridden. ``asked_by`` says who asked, as the
+shell that took the request knows it.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ def request_text(request: Request, asked_by: str) -> str:
             return request.value
         fields: dict[str, Any] = {"request": request.value}
     else:
-        fields = {"request": _NAMES[type(request)], **request._asdict()}
+        defaults = request._field_defaults
+        given = {name: value for name, value in request._asdict().items() if value != defaults.get(name)}
+        fields = {"request": _NAMES[type(request)], **given}
     return json.dumps(fields | {"asked_by": asked_by})
 
 
@@ -49,6 +52,7 @@ def read_request(text: str) -> tuple[Request, str]:
     if kind is None or (kind is ArmRequest and not fields):
         return _trigger(name), str(asked_by)
     try:
+        fields = kind._field_defaults | fields
         if fields.keys() != set(kind._fields):
             raise msgspec.ValidationError(f"it must have the keys {', '.join(kind._fields)}")
         return msgspec.convert([fields[key] for key in kind._fields], kind), str(asked_by)
@@ -59,7 +63,7 @@ def read_request(text: str) -> tuple[Request, str]:
 def describe_request(request: Request) -> str:
     """Return a request in words, as the log shows it."""
     match request:
-        case SetpointRequest(axis, setpoint):
+        case SetpointRequest(axis, setpoint, _):
             return f"setpoint of {axis}: {setpoint}"
         case ControllerRequest(axis, name, _):
             return f"controller of {axis}: {name}"

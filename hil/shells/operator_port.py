@@ -97,6 +97,8 @@ class OperatorPort:
         self._encode = msgspec.msgpack.Encoder().encode
         self._cycle: Cycle | None = None
         self._max_lateness_ns = 0
+        """Largest delay of a period since the last regular status."""
+        self._max_lateness_since_start_ns = 0
         self._is_due = False
         """True between the end of a period and the next call of ``serve``."""
         self._period_ns = round(described.period_s * 1e9)
@@ -116,7 +118,9 @@ class OperatorPort:
         """Take a completed period."""
         self._cycle = cycle
         self._is_due = True
-        self._max_lateness_ns = max(self._max_lateness_ns, cycle.wake_ns - cycle.deadline_ns)
+        late_ns = cycle.wake_ns - cycle.deadline_ns
+        self._max_lateness_ns = max(self._max_lateness_ns, late_ns)
+        self._max_lateness_since_start_ns = max(self._max_lateness_since_start_ns, late_ns)
 
     def serve(self, session: Session) -> None:
         """Take the requests that wait, if it is time for it. Raises LinkError.
@@ -194,7 +198,7 @@ class OperatorPort:
             return reply
         request = _core_request(asked.call, self._failures)
         if request is not None:
-            return session.operate(request, asked.asked_by, asked.prepared)
+            return session.operate(request, asked.asked_by, asked.prepared or asked.table)
         action = self._actions.get(type(asked.call))
         if action is None:
             return Reply(False, "this daemon does not know the request")
@@ -216,6 +220,7 @@ class OperatorPort:
             rejected_frames=gateway.rejected_frames,
             lost_samples=gateway.lost_samples,
             recording=self._recording(),
+            max_lateness_since_start_ms=self._max_lateness_since_start_ns / 1e6,
             overridden_checks=gateway.overridden_checks,
             axes=tuple(
                 _axis_status(name, unit, signals)
@@ -260,7 +265,7 @@ def _core_request(call: LoopCall, failures: tuple[CheckFailure, ...]) -> Request
         case ArmCall():
             return arm_request(failures, call.override)
         case SetpointCall():
-            return SetpointRequest(call.axis, call.setpoint)
+            return SetpointRequest(call.axis, call.setpoint, call.table)
         case ControllerCall():
             return ControllerRequest(call.axis, call.name, call.document)
         case JogCall():

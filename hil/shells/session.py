@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from hil.core.controller_change import PreparedController
 from hil.core.errors import LinkError
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
+from hil.core.operator_requests import Prepared
 from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
 from hil.core.requests import ArmRequest, ControllerRequest, JogRequest, Reply, Request
 from hil.core.wire.codec import RPDO1_DAC
@@ -81,13 +81,11 @@ class Session:
         record = partial(self._recorder.frame_received, frame, now_ns, stamp_ns)
         self._handle(partial(self.gateway.receive, frame, now_ns), record, now_ns)
 
-    def operate(
-        self, request: Request, asked_by: str = "", prepared: PreparedController | None = None
-    ) -> Reply:
+    def operate(self, request: Request, asked_by: str = "", prepared: Prepared | None = None) -> Reply:
         """Give the core an operator's request, and return its reply.
 
         ``asked_by`` says who asked, such as ``uid 1000, pid 4711``; it is recorded with the request. A
-        controller that was prepared in another process saves the core the time to read and check it.
+        controller or a table that was prepared in another process saves the core the time to read it.
         """
         goes_on = isinstance(request, JogRequest) and self.gateway.is_jogging
         if asked_by and not goes_on:

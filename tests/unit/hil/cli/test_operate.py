@@ -75,6 +75,27 @@ def test_setpoints_are_numbers_or_texts(bench: Bench) -> None:
     ]
 
 
+def test_the_table_of_a_setpoint_is_read_here_and_checked_by_the_server(
+    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, at = bench
+    table = tmp_path / "t.csv"
+    table.write_text("0,0\n1,0.05\n")
+    assert main(["setpoint", f"vertical=csv:{table}", *at]) == 0
+    (asked,) = loop.asked
+    assert asked.call == SetpointCall(id=1, axis="vertical", setpoint=f"csv:{table}", table="0,0\n1,0.05\n")
+    assert asked.table is not None
+    assert (asked.table.times, asked.table.values) == ((0.0, 1.0), (0.0, 0.05))
+    table.write_text("0,0\n1,9\n")
+    assert main(["setpoint", f"vertical=csv:{table}", *at]) == 1
+    assert "setpoint refused: vertical: setpoint" in capsys.readouterr().err
+    assert main(["setpoint", "elbow=csv:" + str(table), *at]) == 1
+    assert "there is no axis 'elbow'" in capsys.readouterr().err
+    assert main(["setpoint", f"vertical=csv:{tmp_path / 'none.csv'}", *at]) == 2
+    assert "none.csv: cannot be read" in capsys.readouterr().err
+    assert len(loop.asked) == 1
+
+
 def test_a_controller_is_a_file_or_a_shipped_one(bench: Bench) -> None:
     loop, at = bench
     assert main(["controller", "vertical=ppid", *at]) == 0
@@ -185,9 +206,10 @@ def test_the_status_as_a_text(bench: Bench, capsys: pytest.CaptureFixture[str]) 
     assert main(["status", *at]) == 0
     assert capsys.readouterr().out.splitlines() == [
         "ready     can7, period 100 of 11.2 ms",
-        "timing    late up to 0.12 ms, missed 0, rejected 0, lost 0",
+        "timing    late up to 0.12 ms in the last 0.1 s, up to 6.50 ms since the start",
+        "counts    since the start: 2 periods missed, 0 frames rejected, 0 samples lost",
         "  vertical      +0.0123 m    setpoint  +0.0500 m    valve  6.20 V",
-        "  rotation            – rad  setpoint        – rad  valve  5.00 V",
+        "  rotation      unknown rad  setpoint  unknown rad  valve  5.00 V",
         "record    runs/one.mcap",
     ]
 
@@ -226,7 +248,7 @@ def test_watching_shows_the_log_above_the_status(
     assert "\x1b" not in shown
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
     show_live(looks())
-    assert "\x1b[5F\x1b[Jarmed" in capsys.readouterr().out
+    assert "\x1b[6F\x1b[Jarmed" in capsys.readouterr().out
 
 
 def test_each_look_is_a_line_of_json(capsys: pytest.CaptureFixture[str]) -> None:

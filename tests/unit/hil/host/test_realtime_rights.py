@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.host.realtime_rights import FIFO_PRIORITY, Rights, real_time_rights
+from hil.host.realtime_rights import FIFO_PRIORITY, NEEDS_FIFO, Right, Rights, real_time_rights
 
 NAMES = [
     "garbage collector",
@@ -94,6 +94,18 @@ def test_a_refusal_is_reported_with_its_reason_and_raises_no_error(monkeypatch: 
     assert reported["garbage collector"] == "granted: frozen and off"
     assert "refused: " in str(rights)
     assert "SCHED_FIFO (Operation not permitted)" in str(rights).partition("refused: ")[2]
+
+
+def test_the_line_of_the_log_is_short() -> None:
+    names = ("garbage collector", "timer slack", "processor sleep")
+    granted = [Right(name, True, "some detail") for name in names]
+    refused = [Right("SCHED_FIFO", False, "Operation not permitted"), Right("polling", False, NEEDS_FIFO)]
+    assert str(Rights(granted)) == "granted: garbage collector, timer slack, processor sleep"
+    assert str(Rights([*granted, *refused])) == (
+        "refused: SCHED_FIFO (Operation not permitted), polling; granted: garbage collector, timer slack, "
+        "processor sleep"
+    )
+    assert str(Rights(refused[:1])).endswith("; granted: nothing")
 
 
 class TestPolling:

@@ -44,6 +44,18 @@ def test_a_request_to_arm_has_its_checks_and_overrides() -> None:
     assert read_request('{"request": "arm", "asked_by": "uid 1000"}') == (Trigger.ARM, "uid 1000")
 
 
+def test_a_field_with_its_default_is_left_out() -> None:
+    without = SetpointRequest("a", "0.1")
+    assert json.loads(request_text(without, "")) == {
+        "request": "setpoint",
+        "axis": "a",
+        "setpoint": "0.1",
+        "asked_by": "",
+    }
+    for request in (without, SetpointRequest("a", "csv:f", "0,0\n")):
+        assert read_request(request_text(request, "")) == (request, "")
+
+
 def test_whole_numbers_are_read_as_floats() -> None:
     text = '{"request": "jog", "axis": "a", "offset_v": 1, "duration_s": 2, "asked_by": ""}'
     request, _ = read_request(text)

@@ -43,6 +43,8 @@ REQUESTS: list[tuple[Request, int, bool]] = [
     (Trigger.START, 1, False),
     (SetpointRequest("vertical", "ladder:0.1,-0.05@0.1/0.3"), 60, True),
     (SetpointRequest("vertical", "0.2"), 1, False),
+    (SetpointRequest("vertical", "csv:t.csv", "0,0\n0.5,0.05\n"), 60, True),
+    (SetpointRequest("vertical", "csv:t.csv"), 1, False),
     (ControllerRequest("vertical", "new.json", HORIZONTAL), 40, True),
     (ControllerRequest("vertical", "broken.json", "{}"), 1, False),
     (ControllerRequest("rotation", "ppid", PPID), 1, False),

@@ -122,6 +122,15 @@ def test_checks_of_the_machine_refuse_to_arm_unless_they_are_overridden(bench: P
     assert found in entries
 
 
+def test_the_lateness_is_that_of_the_last_periods_and_that_since_the_start(bench: PortBench) -> None:
+    late = bench.run.shown.cycles[-1]
+    bench.port.cycle(late._replace(wake_ns=late.deadline_ns + 5_000_000), bench.run.gateway)
+    bench.period(2 * STATUS_PERIODS + 2)
+    first, *_, last = [m.status for m in bench.received() if isinstance(m, StatusNow)]
+    assert (first.max_lateness_ms, first.max_lateness_since_start_ms) == (5.0, 5.0)
+    assert (last.max_lateness_ms, last.max_lateness_since_start_ms) == (0.0, 5.0)
+
+
 def test_requests_reach_the_core_with_who_asked(bench: PortBench) -> None:
     document = (SHIPPED_CONTROLLERS / "ppid.json").read_text()
     for call, is_accepted in (
