@@ -118,9 +118,9 @@ class RigBus:
             return Arrived(reports) if reports else _NOTHING
         if sender is self.gateway:
             return Arrived(reports, (frame,))
-        if sender is self.foreign:
-            return Arrived(reports if self._unplugged else (frame, *reports), (frame,))
-        return _NOTHING if self._unplugged else Arrived((frame, *reports))
+        is_deaf = self._unplugged or self.gateway.is_bus_off
+        at_gateway = reports if is_deaf else (frame, *reports)
+        return Arrived(at_gateway, (frame,) if sender is self.foreign else ())
 
     # Faults
 
