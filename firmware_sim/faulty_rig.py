@@ -3,7 +3,7 @@
 ``FaultyRig`` has the methods of ``SimulatedRig`` and applies faults to what passes through them. It is a
 state machine too: it reads no clock, and the same frames, times, faults and seed give the same bytes. So
 faults work in simulated time and in real time. The faults of the host need the lockstep shell, which reads
-``FaultyRig.host``.
+``FaultyRig.host``, and error frames need a modelled bus.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from heapq import heappop, heappush
 from random import Random
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from firmware_sim.boards.adc import AdcBoard
 from firmware_sim.boards.canopen_slave import Frames, NmtCommand
@@ -21,7 +21,7 @@ from firmware_sim.boards.dac import DacBoard
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from firmware_sim.faults.condition import Condition, Observation, parse_condition
 from firmware_sim.faults.fault_text import fault_text, parse_fault
-from firmware_sim.faults.frame_faults import FrameChanger, counter_of, counts_of, pdo
+from firmware_sim.faults.frame_faults import FrameChanger, FrameDestroyer, counter_of, counts_of, pdo
 from firmware_sim.faults.host import HostTiming
 from firmware_sim.faults.kinds import (
     FRAME_IDS,
@@ -30,6 +30,7 @@ from firmware_sim.faults.kinds import (
     Babble,
     BusOff,
     DriftSensor,
+    ErrorFrames,
     Flood,
     Foreign,
     FreezeSensor,
@@ -50,6 +51,9 @@ from hil.core.errors import DocumentError
 from hil.core.frames import Frame
 from hil.core.rig import Rig
 
+if TYPE_CHECKING:
+    from hil.links.bus_model.rig_bus import RigBus
+
 BUS_OFF_FRAME: Final = Frame(0x040, bytes(8), is_error=True)
 """Error frame that reports bus-off (``CAN_ERR_BUSOFF`` of ``linux/can/error.h``)."""
 _SAMPLE_ID: Final = FRAME_IDS["sample"]
@@ -61,14 +65,21 @@ class FaultyRig:
     """The boards and the plant of ``boards``, with faults.
 
     ``rig`` is the rig file of ``boards``. ``faults`` are armed from the start; :meth:`inject` adds others.
-    The randomness of a fault depends on ``seed`` and on the fault's place in the list alone.
+    The randomness of a fault depends on ``seed`` and on the fault's place in the list alone. ``bus`` is the
+    modelled bus between gateway and boards, on which the faults of the bus act; None if frames take no time.
 
     Raises DocumentError if a fault names an axis that the rig does not have, or acts on the pneumatic arm
-    when another plant is simulated.
+    when another plant is simulated, or destroys frames although there is no modelled bus.
     """
 
     def __init__(
-        self, rig: Rig, boards: SimulatedRig, faults: Iterable[AnyFault | str] = (), *, seed: int = 0
+        self,
+        rig: Rig,
+        boards: SimulatedRig,
+        faults: Iterable[AnyFault | str] = (),
+        *,
+        seed: int = 0,
+        bus: RigBus | None = None,
     ) -> None:
         self.boards = boards
         self.host = HostTiming()
@@ -76,6 +87,9 @@ class FaultyRig:
         self.begun: list[tuple[int, str]] = []
         """Time in nanoseconds and text of each fault that has begun."""
         self._rig = rig
+        self._bus = bus
+        self._destroyers: dict[int, Callable[[str, int], int | None]] = {}
+        """Function that destroys frames of the bus, by the identity of its fault."""
         self._seed = seed
         self._count = 0
         self._wires = boards.wires = Wires()
@@ -217,6 +231,9 @@ class FaultyRig:
 
     def _from_stranger(self, frame: Frame, now_ns: int) -> Frames:
         """Put a frame of a node that is no part of the rig on the bus: gateway and boards receive it."""
+        if self._bus is not None:
+            self._bus.send_foreign(frame, now_ns)
+            return ()
         if self._silences:
             return ()
         return (frame, *self._at_boards(frame, now_ns))
@@ -260,6 +277,11 @@ class FaultyRig:
             raise DocumentError(
                 f"fault {fault_text(parsed)!r} acts on the pneumatic arm, but another plant is simulated"
             )
+        if isinstance(parsed, ErrorFrames) and self._bus is None:
+            raise DocumentError(
+                f"fault {fault_text(parsed)!r} needs a modelled bus: write bit_rate = 500000 under [bus] "
+                "in the rig file, and run in simulated time (--lockstep)"
+            )
         random = Random(f"fault {self._count}, seed {self._seed}")
         self._count += 1
         return parsed, random
@@ -292,11 +314,19 @@ class FaultyRig:
                 Foreign(interval_s=interval_s) | Flood(interval_s=interval_s) | Babble(interval_s=interval_s)
             ):
                 return self._send_repeatedly(fault, round(interval_s * 1e9), 128, now_ns)
+            case BusOff() if self._bus is not None:
+                return (self._bus.take_gateway_off(now_ns),)
             case BusOff():
                 self._silences.append(fault)
                 return (BUS_OFF_FRAME,)
+            case Unplug() if self._bus is not None:
+                self._bus.unplug(now_ns)
             case Unplug():
                 self._silences.append(fault)
+            case ErrorFrames():
+                assert self._bus is not None, "checked when the fault was armed"
+                destroyer = self._destroyers[id(fault)] = FrameDestroyer(fault, random).broken_bit
+                self._bus.disturbances.append(destroyer)
             case Reset(board=name):
                 board = self.boards.adc if name == "adc" else self.boards.dac
                 return self._to_gateway(board.start(now_ns), now_ns)
@@ -331,6 +361,12 @@ class FaultyRig:
                 self._wires.repair(fault)
             case StepClock(step_s=step_s):
                 self.host.step_clock(-round(step_s * 1e9))
+            case BusOff() if self._bus is not None:
+                self._bus.restart(now_ns)
+            case Unplug() if self._bus is not None:
+                self._bus.plug(now_ns)
+            case ErrorFrames() if self._bus is not None:
+                self._bus.disturbances.remove(self._destroyers.pop(id(fault)))
             case _:
                 pass
         return ()

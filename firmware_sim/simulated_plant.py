@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from firmware_sim.arm.arm_file import read_arm, shipped_arm_text
 from firmware_sim.arm.event_text import event_text, parse_event
@@ -26,6 +27,9 @@ from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.errors import DocumentError
 from hil.core.rig import Rig
 from hil.host.text_file import read_text
+
+if TYPE_CHECKING:
+    from hil.links.bus_model.rig_bus import RigBus
 
 SHIPPED_ARM = "arm.toml"
 
@@ -99,15 +103,23 @@ def planned_events(options: argparse.Namespace) -> dict[str, float]:
 
 
 def build_boards(
-    rig: Rig, plant: Plant, options: argparse.Namespace, *, may_break: bool = False
+    rig: Rig,
+    plant: Plant,
+    options: argparse.Namespace,
+    *,
+    may_break: bool = False,
+    bus: RigBus | None = None,
 ) -> SimulatedRig | FaultyRig:
     """Return the boards before ``plant``, with the faults that ``options`` choose. Raises DocumentError.
 
-    ``may_break`` is True if faults can be added while the rig is simulated.
+    ``may_break`` is True if faults can be added while the rig is simulated. ``bus`` is the modelled bus
+    between gateway and boards, if there is one.
     """
     boards = SimulatedRig(rig, plant)
     faults = planned_faults(options)
-    return FaultyRig(rig, boards, faults, seed=options.seed) if faults or may_break else boards
+    if not faults and not may_break:
+        return boards
+    return FaultyRig(rig, boards, faults, seed=options.seed, bus=bus)
 
 
 def planned_faults(options: argparse.Namespace) -> list[AnyFault]:

@@ -17,8 +17,11 @@ from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import AxisSignals, Cycle, LogEntry, Output
 from hil.core.requests import Reply, Request
+from hil.core.wire.codec import RPDO1_DAC
+from hil.links.bus_model.rig_bus import RigBus
 from hil.shells.journal import Journal
 from hil.shells.lockstep import Lockstep
+from hil.shells.lockstep_bus import BusLockstep
 from hil.shells.run_setup import load_setup
 
 if TYPE_CHECKING:
@@ -56,6 +59,7 @@ class LockstepRig:
         plant: Plant | None = None,
         faults: Iterable[AnyFault | str] = (),
         seed: int = 0,
+        bit_rate: int | None = None,
     ) -> None:
         """Build the rig of a rig file, or of the shipped one.
 
@@ -63,7 +67,8 @@ class LockstepRig:
         and replace those of the rig file. ``plant`` is what the boards are wired to: by default the pneumatic
         arm, with ``seed`` for the noise of its potentiometers. ``faults`` are texts such as
         ``lose:sample,5@2``, or documents of ``firmware_sim.faults.kinds``; their times count from the first
-        sample. Raises DocumentError or SetpointError.
+        sample. ``bit_rate`` in bit/s, or else ``bus.bit_rate`` of the rig file, gives the rig a modelled bus,
+        on which frames take time and wait. Raises DocumentError or SetpointError.
         """
         from firmware_sim.arm.arm import Arm
         from firmware_sim.arm.arm_file import shipped_arm
@@ -79,8 +84,14 @@ class LockstepRig:
             plant = Arm(shipped_arm(), seed=seed, wiring=wiring(setup.rig))
         self.boards = SimulatedRig(setup.rig, plant)
         """The simulated boards. Their ``adc.faults`` and ``dac.faults`` can be set at any time."""
-        self._faulty = FaultyRig(setup.rig, self.boards, faults, seed=seed)
-        self._lockstep = Lockstep(self._faulty, 0, self._faulty.host)
+        bit_rate = bit_rate or setup.rig.bus.bit_rate
+        self.bus = None if bit_rate is None else RigBus(bit_rate)
+        """The modelled bus, with the error counters of its nodes; None if frames arrive at once."""
+        self._faulty = faulty = FaultyRig(setup.rig, self.boards, faults, seed=seed, bus=self.bus)
+        if self.bus is None:
+            self._lockstep = Lockstep(faulty, 0, faulty.host)
+        else:
+            self._lockstep = BusLockstep(faulty, 0, self.bus, faulty.host)
         self._side = _Side(setup.gateway(setup.rig.loop.period_ns), self._lockstep)
         self._lockstep.begin(self._side)
 
@@ -111,7 +122,7 @@ class LockstepRig:
 
     @property
     def sent(self) -> list[Frame]:
-        """All frames that the gateway has sent so far."""
+        """All frames that the gateway has sent so far, without those that the bus refused."""
         return self._side.sent
 
     @property
@@ -171,7 +182,10 @@ class LockstepRig:
         self._operate(Trigger.RESET)
 
     def inject(self, frame: Frame) -> None:
-        """Put a frame of another node on the bus now. The gateway and the boards receive it."""
+        """Put a frame of another node on the bus now. The gateway and the boards receive it.
+
+        On a modelled bus it arrives later, as the rig is stepped.
+        """
         self._lockstep.deliver(self._side, frame)
 
     def inject_fault(self, fault: AnyFault | str) -> None:
@@ -240,13 +254,18 @@ class _Side:
         return output
 
     def _take(self, output: Output, now_ns: int) -> None:
-        for frame in output.frames:
-            self.sent.append(frame)
-            self._lockstep.send(frame)
+        refused: list[int] = []
+        for place, frame in enumerate(output.frames):
+            if self._lockstep.send(frame):
+                self.sent.append(frame)
+                continue
+            refused.append(place)
+            if frame.id == RPDO1_DAC:
+                self.gateway.command_refused(frame)
         self.log.extend(output.log)
         if output.cycle is not None:
             self.cycles.append(output.cycle)
-        self.journal.answered(output, now_ns)
+        self.journal.answered(output, now_ns, tuple(refused))
 
 
 def run_experiment(

@@ -25,7 +25,8 @@ from hil.core.suggestions import did_you_mean
 FORMS: Final = (
     "frames: lose:FRAME[,AMOUNT], late:FRAME,S[,AMOUNT], repeat:FRAME[,AMOUNT], reorder:FRAME[,AMOUNT], "
     "corrupt:FRAME[,AMOUNT], alter:FRAME[,AMOUNT], miscount:FRAME,STEP[,AMOUNT], foreign:FRAME,INTERVAL_S, "
-    "flood:ID,INTERVAL_S; bus: bus-off, unplug; boards: reset:BOARD, hang:BOARD, babble:BOARD,INTERVAL_S, "
+    "flood:ID,INTERVAL_S; bus: bus-off, unplug, error-frames[:AMOUNT[,SENDER]] (in simulated time with a "
+    "bit rate only); boards: reset:BOARD, hang:BOARD, babble:BOARD,INTERVAL_S, "
     "twin:BOARD; sensors: freeze-sensor:AXIS, drift-sensor:AXIS,V_PER_S, noisy-sensor:AXIS,RMS_V, "
     "offset-sensor:AXIS,V; valves: stick-valve:AXIS, slow-valve:AXIS,LAG_S; host, in simulated time only: "
     "stall:S, step-clock:S; and every event of the arm"

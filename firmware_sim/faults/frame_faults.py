@@ -12,6 +12,7 @@ from firmware_sim.faults.kinds import (
     Alter,
     Amount,
     Corrupt,
+    ErrorFrames,
     FrameChange,
     Late,
     Lose,
@@ -49,6 +50,21 @@ class Selection:
             return self._share >= 1.0 or self._random.random() < self._share
         self._left -= 1
         return self._left >= 0
+
+
+class FrameDestroyer:
+    """One active fault that destroys frames on a modelled bus."""
+
+    def __init__(self, fault: ErrorFrames, random: Random) -> None:
+        self._sender = fault.sender
+        self._random = random
+        self._selection = Selection(fault.amount, random)
+
+    def broken_bit(self, sender: str, bits: int) -> int | None:
+        """Return the bit at which a frame of so many bits is destroyed; None if it is not."""
+        if self._sender not in ("any", sender) or not self._selection.takes_next():
+            return None
+        return self._random.randrange(1, bits)
 
 
 class FrameChanger:

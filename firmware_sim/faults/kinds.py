@@ -65,6 +65,7 @@ FrameName = Literal[
 ]
 PdoName = Literal["sample", "command"]
 BoardName = Literal["adc", "dac"]
+SenderName = Literal["any", "gateway", "adc", "dac", "foreign"]
 AxisName = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 Share = Annotated[str, msgspec.Meta(pattern=r"^\d+(\.\d+)?%$")]
 Amount = Annotated[int, msgspec.Meta(ge=1, le=10**9)] | Share
@@ -153,7 +154,7 @@ class Foreign(FrameFault, frozen=True, tag="foreign"):
 class Flood(Fault, frozen=True, tag="flood"):
     """A node sends 8 zero bytes under ``identifier`` every ``interval_s`` seconds.
 
-    The simulated bus has no bit rate, so no frame is delayed by it.
+    With a bus model (rig: ``bus.bit_rate``), frames of lower priority wait. Without one, no frame is delayed.
     """
 
     identifier: Annotated[int, msgspec.Meta(ge=0, le=0x7FF)]
@@ -161,11 +162,30 @@ class Flood(Fault, frozen=True, tag="flood"):
 
 
 class BusOff(Fault, frozen=True, tag="bus off"):
-    """The gateway's controller reports bus-off by an error frame. No frame passes while the fault lasts."""
+    """The gateway's controller reports bus-off by an error frame. No frame passes while the fault lasts.
+
+    With a bus model (rig: ``bus.bit_rate``), the controller refuses the gateway's frames. When the fault
+    ends, it is restarted, and is back after 128 sequences of 11 recessive bits.
+    """
 
 
 class Unplug(Fault, frozen=True, tag="unplug"):
-    """The cable between gateway and boards is unplugged. No frame passes while the fault lasts."""
+    """The cable between gateway and boards is unplugged. No frame passes while the fault lasts.
+
+    With a bus model (rig: ``bus.bit_rate``), the gateway's frames wait in its queue, and pass afterwards.
+    """
+
+
+class ErrorFrames(Fault, frozen=True, tag="error frames"):
+    """Frames on the bus are destroyed at a bit chosen at random, and sent again. Error counters rise.
+
+    The share counts for each attempt to send a frame. For simulated time with a bus model only
+    (rig: ``bus.bit_rate``).
+    """
+
+    amount: Amount = ALL
+    sender: SenderName = "any"
+    """Node whose frames are destroyed."""
 
 
 class Reset(Fault, frozen=True, tag="reset"):
@@ -271,6 +291,7 @@ AnyFault = (
     | Flood
     | BusOff
     | Unplug
+    | ErrorFrames
     | Reset
     | Hang
     | Babble

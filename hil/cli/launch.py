@@ -95,18 +95,30 @@ def run_lockstep(
     """Run against simulated boards in this process and in simulated time. Every run gives the same bytes."""
     from firmware_sim.faulty_rig import FaultyRig
     from hil.cli.progress import LockstepProgress
+    from hil.links.bus_model.rig_bus import RigBus
     from hil.shells.lockstep import Lockstep
+    from hil.shells.lockstep_bus import BusLockstep
 
     plant, _ = build_plant(setup.rig, options)
     planned = planned_events(options)
     header = run_header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}, planned)
-    boards = build_boards(setup.rig, plant, options)
-    lockstep = Lockstep(boards, 0, boards.host if isinstance(boards, FaultyRig) else None, LOCKSTEP_EPOCH_NS)
+    bit_rate = setup.rig.bus.bit_rate
+    bus = None if bit_rate is None else RigBus(bit_rate)
+    boards = build_boards(setup.rig, plant, options, bus=bus)
+    host = boards.host if isinstance(boards, FaultyRig) else None
+    lockstep = (
+        Lockstep(boards, 0, host, LOCKSTEP_EPOCH_NS)
+        if bus is None
+        else BusLockstep(boards, 0, bus, host, LOCKSTEP_EPOCH_NS)
+    )
     gateway = setup.gateway(setup.rig.loop.period_ns)
     with stop_on_signals() as stop_request:
         recorder = Recorder(path, header, lossless=True)
         with LockstepProgress(duration_s) as progress:
-            session = Session(gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress)
+            max_refused = setup.rig.adc.stale_after_periods
+            session = Session(
+                gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress, max_refused
+            )
             _announce(session, setup, duration_s, planned)
             lockstep.run(session, stop_request)
         begun = boards.begun_by_time() if isinstance(boards, FaultyRig) else {}

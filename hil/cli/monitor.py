@@ -53,9 +53,8 @@ def parser() -> CommandParser:
     command.add_argument(
         "--bit-rate",
         type=_bit_rate,
-        default=BIT_RATE,
         metavar="BIT/S",
-        help="bit rate of the bus, from which its load is computed (default 500000)",
+        help="bit rate of the bus, from which its load is computed (default: the rig file's, or 500000)",
     )
     command.add_argument(
         "--sync",
@@ -76,7 +75,8 @@ def main(argv: list[str]) -> int:
     options = parser().parse_args(argv)
     rig = load_rig(options.rig)
     with open_link(bus_to_hear(options, rig)) as link:
-        monitor = Monitor(link, rig, options.bit_rate, options.sync, time.monotonic_ns)
+        bit_rate = options.bit_rate or rig.bus.bit_rate or BIT_RATE
+        monitor = Monitor(link, rig, bit_rate, options.sync, time.monotonic_ns)
         if options.once:
             monitor.listen_until(time.monotonic_ns() + round(ONCE_S * 1e9))
             _print(monitor, options.json)

@@ -83,6 +83,11 @@ class Bus(Document, frozen=True):
     A rig file without this key is older than version 2, so the default is 1. Modules without counter and CRC
     (``protected = false``) send the same frames in both versions.
     """
+    bit_rate: Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)] | None = None
+    """Bit rate in bit/s. Simulated time then has a bus model, in which frames take time and wait.
+
+    None: frames in simulated time arrive at once. A real bus has the bit rate of its interface.
+    """
 
 
 class GatewaySettings(Document, frozen=True):

@@ -42,9 +42,9 @@ class Journal:
         """Note that the core is about to be given an operator's request."""
         self._calls.append(("operated", (request, now_ns)))
 
-    def answered(self, output: Output, now_ns: int) -> None:
-        """Note the core's answer to the last call."""
-        self._calls.append(("answered", (output, now_ns)))
+    def answered(self, output: Output, now_ns: int, refused: tuple[int, ...] = ()) -> None:
+        """Note the core's answer to the last call. ``refused`` are places of frames that were not sent."""
+        self._calls.append(("answered", (output, now_ns, refused)))
 
     def save(self, path: Path, setup: RunSetup, metadata: dict[str, dict[str, str]]) -> None:
         """Write all calls so far as the recording of a run of ``setup``.
@@ -63,9 +63,12 @@ class Journal:
         recorder.close(metadata)
 
 
-def _record_answer(recorder: Recorder, output: Output, now_ns: int) -> None:
-    for frame in output.frames:
-        recorder.frame_sent(frame, now_ns)
+def _record_answer(recorder: Recorder, output: Output, now_ns: int, refused: tuple[int, ...]) -> None:
+    for place, frame in enumerate(output.frames):
+        if place in refused:
+            recorder.frame_refused(frame, now_ns)
+        else:
+            recorder.frame_sent(frame, now_ns)
     for entry in output.log:
         recorder.log_entry(entry, now_ns)
     if output.cycle is not None:

@@ -1,8 +1,9 @@
 """The lockstep shell: gateway and simulated boards in one process, in simulated time.
 
-Time jumps to the next deadline of either side. Frames arrive at once and in order. The same setup gives the
-same calls in every run. A host that stalls serves its deadlines late: frames wait for it, and it reads them
-before the deadline that is overdue, as the real-time shell does.
+Time jumps to the next deadline of either side. Frames arrive at once and in order; ``lockstep_bus`` has a
+shell in which they take time. The same setup gives the same calls in every run. A host that stalls serves its
+deadlines late: frames wait for it, and it reads them before the deadline that is overdue, as the real-time
+shell does.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Protocol
 
+from hil.core.errors import LinkError
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.shells.run_plan import Ending, StopRequest
@@ -87,7 +89,7 @@ class Lockstep:
         """Frames that arrived while the host was stalled, each with its receive stamp."""
 
     def send(self, frame: Frame) -> bool:
-        """Take a frame from the gateway. Return True, because this bus refuses none."""
+        """Take a frame from the gateway. Return False if the bus refuses it; this one refuses none."""
         self._to_boards.append(frame)
         return True
 
@@ -99,7 +101,12 @@ class Lockstep:
         """Step from deadline to deadline until the session's plan is over."""
         self.begin(session)
         while not session.plan.is_over:
-            if self.step(session) and stop.is_set:
+            try:
+                is_period = self.step(session)
+            except LinkError as error:
+                session.end_with_failure(Ending.LINK, str(error))
+                return
+            if is_period and stop.is_set:
                 session.plan.end(Ending.INTERRUPTED)
 
     def begin(self, gateway_side: GatewaySide) -> None:
@@ -142,15 +149,21 @@ class Lockstep:
 
     def _deliver(self, gateway_side: GatewaySide, to_gateway: tuple[Frame, ...]) -> None:
         """Deliver frames in both directions until none is left."""
-        now_ns, to_boards, boards, host = self._now_ns, self._to_boards, self._boards, self._host
-        epoch_ns = now_ns + self._epoch_offset_ns
+        now_ns, to_boards, boards = self._now_ns, self._to_boards, self._boards
         while True:
-            for frame in to_gateway:
-                stamp_ns = epoch_ns + host.clock_offset_ns
-                if now_ns < host.asleep_until_ns:
-                    self._waiting.append((frame, stamp_ns))
-                else:
-                    gateway_side.receive(frame, now_ns, stamp_ns)
+            if to_gateway:
+                self._to_gateway(gateway_side, to_gateway)
             if not to_boards:
                 return
             to_gateway = boards.receive(to_boards.popleft(), now_ns)
+
+    def _to_gateway(self, gateway_side: GatewaySide, frames: tuple[Frame, ...]) -> None:
+        """Give the gateway frames that arrive now, or keep them for it while its host is stalled."""
+        now_ns, host = self._now_ns, self._host
+        epoch_ns = now_ns + self._epoch_offset_ns
+        for frame in frames:
+            stamp_ns = epoch_ns + host.clock_offset_ns
+            if now_ns < host.asleep_until_ns or self._waiting:
+                self._waiting.append((frame, stamp_ns))
+            else:
+                gateway_side.receive(frame, now_ns, stamp_ns)

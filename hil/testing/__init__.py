@@ -30,6 +30,10 @@ The fixtures return a ``hil.LockstepRig``, or a :class:`GatewayAlone`, :class:`B
 injected by their method ``inject_fault``, by their option ``faults``, or by ``boards=["--fault", …]`` on
 ``vcan0``.
 
+With ``@pytest.mark.lockstep_rig(bit_rate=500_000)`` or ``bus.bit_rate`` in the rig file, the rig in simulated
+time has a modelled bus: frames take their bit times, wait by identifier, and are refused by a full queue.
+``lockstep_rig.bus`` has the error counters and queues of its nodes.
+
 A test that fails keeps its recording, plot and log in the folder ``hil-failures``; the report says where.
 
 ========================  ===================================================================================

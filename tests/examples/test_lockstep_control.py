@@ -47,6 +47,19 @@ def test_a_broken_rig_stops_with_centred_valves(make_lockstep_rig, fault):
     assert rig.boards.dac.valve_v == (5.0, 5.0, 5.0)
 
 
+@pytest.mark.lockstep_rig(setpoints=STEP, bit_rate=500_000)
+def test_an_overloaded_bus_stops_the_rig_if_the_other_frames_have_priority(lockstep_rig):
+    lockstep_rig.inject_fault(
+        "flood:0x7ff,0.0001@0/1"
+    )  # fills the bus, but every frame of the rig goes first
+    lockstep_rig.run(1.0)
+    assert lockstep_rig.state.name == "RUNNING"
+    lockstep_rig.inject_fault("flood:0x001,0.0001@0")
+    lockstep_rig.run(0.2)
+    assert lockstep_rig.state.name == "FAULT"
+    assert lockstep_rig.bus.gateway.refused > 0
+
+
 def test_two_runs_with_the_same_seed_are_equal(record_run, tmp_path):
     options = {"setpoints": STEP, "faults": ["lose:sample,10%@0"], "seed": 3}
     first = record_run(1.0, **options)

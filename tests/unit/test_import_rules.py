@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 
 PURE = (
     "hil.core",
+    "hil.links.bus_model",
     "firmware_sim.boards",
     "firmware_sim.arm",
     "firmware_sim.plants",
@@ -27,7 +28,7 @@ PURE = (
     "design.search",
     "design.synthesis",
 )
-"""Folders that do no I/O, read no clock and start no thread."""
+"""Packages that do no I/O, read no clock and start no thread."""
 
 OUTSIDE = {"asyncio", "can", "mcap", "multiprocessing", "select", "selectors", "serial", "signal", "socket"}
 OUTSIDE |= {"subprocess", "threading", "time"}

@@ -105,6 +105,20 @@ TOLERATED = [
 ]
 """Faults after which control goes on, and the position stays near the setpoint."""
 
+ON_A_BUS = {
+    "error-frames:100%@0": ("bus: bus-off", WATCHDOG + 1),
+    "error-frames:100%,gateway@0": ("bus: bus-off", WATCHDOG + 1),
+    "error-frames:100%,adc@0": ("adc: no good sample for 5 periods, limit 5", STALE + 1),
+    "flood:1,0.0002@0": ("adc: no good sample for 5 periods, limit 5", WATCHDOG + 1),
+}
+"""As FAULTS, for faults that act only on a modelled bus: they need a bit rate."""
+
+TOLERATED_ON_A_BUS = ["error-frames:10%@0", "error-frames:30%,adc@0", "flood:1,0.001@0"]
+"""As TOLERATED, on a modelled bus."""
+
+TWO_SYNCS_LONG = "hang:adc@0/0.02"
+"""On a modelled bus, the board misses two SYNCs in this time and not one, which is a fault."""
+
 UNDETECTED = {
     "alter:command,1@0": "a value that is altered with a correct CRC cannot be distinguished from a good one",
     "late:command,0.02@0": "a command has no time stamp, so the board cannot find that it is old",
@@ -122,8 +136,10 @@ UNSTOPPABLE = {
 """Faults that the gateway finds, although it cannot centre the valves."""
 
 
-def running_rig(setpoint: str, control_s: float, file: Path | None = None) -> LockstepRig:
-    rig = LockstepRig(file, setpoints={"vertical": setpoint}, seed=1)
+def running_rig(
+    setpoint: str, control_s: float, file: Path | None = None, bit_rate: int | None = None
+) -> LockstepRig:
+    rig = LockstepRig(file, setpoints={"vertical": setpoint}, seed=1, bit_rate=bit_rate)
     rig.bring_up()
     rig.arm()
     rig.start()
@@ -132,8 +148,8 @@ def running_rig(setpoint: str, control_s: float, file: Path | None = None) -> Lo
     return rig
 
 
-def moving_rig(file: Path | None = None) -> LockstepRig:
-    rig = running_rig("sine:0.1@0/2", 1.5, file)
+def moving_rig(file: Path | None = None, bit_rate: int | None = None) -> LockstepRig:
+    rig = running_rig("sine:0.1@0/2", 1.5, file, bit_rate)
     assert abs(rig.boards.dac.valve_v[0] - 5.0) > 0.3, "the valve is open when the fault begins"
     return rig
 
@@ -156,6 +172,24 @@ def test_a_dangerous_fault_centres_the_valves_in_time(fault: str) -> None:
     assert periods_until_centred(rig, limit + 40) <= limit
     assert rig.state.name == "FAULT"
     assert reason in (rig.gateway.fault_reason or "")
+
+
+@pytest.mark.parametrize("fault", [*FAULTS, *ON_A_BUS])
+def test_on_a_bus_with_a_bit_rate_the_valves_are_centred_one_period_later_at_most(fault: str) -> None:
+    reason, limit = ON_A_BUS[fault] if fault in ON_A_BUS else (FAULTS[fault][0], FAULTS[fault][1] + 1)
+    rig = moving_rig(bit_rate=500_000)
+    rig.inject_fault(fault)
+    assert periods_until_centred(rig, limit + 40) <= limit
+    assert rig.state.name == "FAULT"
+    assert reason in (rig.gateway.fault_reason or "")
+
+
+@pytest.mark.parametrize("fault", [*TOLERATED, *TOLERATED_ON_A_BUS])
+def test_on_a_bus_with_a_bit_rate_control_goes_on_after_a_small_fault(fault: str) -> None:
+    rig = moving_rig(bit_rate=500_000)
+    rig.inject_fault(fault)
+    rig.step(200)
+    assert rig.state.name == ("FAULT" if fault == TWO_SYNCS_LONG else "RUNNING")
 
 
 @pytest.fixture(scope="module")
@@ -222,6 +256,6 @@ def test_a_fault_that_the_gateway_cannot_stop_is_reported(fault: str) -> None:
 
 
 def test_each_kind_of_fault_has_an_expected_reaction() -> None:
-    texts = [*FAULTS, *STANDING, *TOLERATED, *UNDETECTED, *UNSTOPPABLE]
+    texts = [*FAULTS, *ON_A_BUS, *STANDING, *TOLERATED, *UNDETECTED, *UNSTOPPABLE]
     assert {type(parse_fault(text)) for text in texts} == set(get_args(AnyFault))
     assert any(isinstance(parse_fault(text), ArmFault) for text in texts)

@@ -90,6 +90,31 @@ def test_an_invalid_frame_is_rejected(text: bytes) -> None:
         (b"", b"M00000000", b"\r"),
         (b"", b"mFFFFFFFF", b"\r"),
         (b"", b"mFFFF", b"\a"),
+        (b"", b"X0", b"\r"),
+        (b"", b"X1", b"\r"),
+        (b"", b"X2", b"\a"),
+        (b"", b"X", b"\a"),
+        (b"", b"W0", b"\r"),
+        (b"", b"W1", b"\r"),
+        (b"", b"W2", b"\a"),
+        (b"", b"U0", b"\r"),
+        (b"", b"U6", b"\r"),
+        (b"", b"U7", b"\a"),
+        (b"", b"Q1", b"\a"),
+        (b"", b"P", b"\a"),
+        (b"", b"A", b"\a"),
+        (b"S6\rO\r", b"Q0", b"\r"),
+        (b"S6\rO\r", b"Q1", b"\r"),
+        (b"S6\rO\r", b"Q2", b"\r"),
+        (b"S6\rO\r", b"Q3", b"\a"),
+        (b"S6\rO\r", b"Q", b"\a"),
+        (b"S6\rO\r", b"X1", b"\a"),
+        (b"S6\rO\r", b"W1", b"\a"),
+        (b"S6\rO\r", b"U1", b"\a"),
+        (b"S6\rO\r", b"P", b"\a"),  # with automatic polling there is nothing to poll
+        (b"S6\rO\r", b"A", b"\a"),
+        (b"X0\rS6\rO\r", b"P", b"\r"),
+        (b"X0\rS6\rO\r", b"A", b"A\r"),
         (b"", b"V", b"V1013\r"),
         (b"", b"v", b"v0001\r"),
         (b"", b"N", b"NSIM1\r"),
@@ -124,6 +149,63 @@ def test_frames_from_the_bus_reach_the_host_only_while_the_channel_is_open() -> 
     assert opened().from_bus(Frame(4, bytes(8), is_error=True), 0) == b""
 
 
+class TestPolling:
+    def test_without_automatic_polling_frames_wait_for_the_host(self) -> None:
+        adapter = opened(b"X0\rS6\rO\r")
+        for identifier in (0x100, 0x101, 0x102):
+            assert adapter.from_bus(Frame(identifier), 0) == b""
+        assert adapter.from_host(b"P\r").to_host == b"t1000\r"
+        assert adapter.from_host(b"A\r").to_host == b"t1010\rt1020\rA\r"
+        assert adapter.from_host(b"P\rA\r").to_host == b"\rA\r"
+
+    def test_a_frame_that_is_sent_is_answered_by_an_empty_line(self) -> None:
+        adapter = opened(b"X0\rS6\rO\r")
+        assert adapter.from_host(b"t1000\rT000001000\r").to_host == b"\r\r"
+
+    def test_the_time_stamp_is_that_of_the_arrival(self) -> None:
+        adapter = opened(b"X0\rZ1\rS6\rO\r")
+        adapter.from_bus(Frame(0x100), 4_660_000_000)
+        assert adapter.from_host(b"P\r").to_host == b"t10001234\r"
+
+    def test_frames_that_do_not_fit_are_lost_and_flagged(self) -> None:
+        adapter = opened(b"X0\rS6\rO\r")
+        for number in range(40):
+            adapter.from_bus(Frame(number), 0)
+        assert adapter.from_host(b"A\r").to_host.count(b"t") == 32
+        assert adapter.from_host(b"F\r").to_host == b"F01\r"
+
+    def test_frames_that_wait_are_lost_when_the_channel_is_closed(self) -> None:
+        adapter = opened(b"X0\rS6\rO\r")
+        adapter.from_bus(Frame(1), 0)
+        assert adapter.from_host(b"C\rO\rA\r").to_host == b"\r\rA\r"
+
+
+class TestPowerOn:
+    def test_the_channel_is_closed_and_has_no_bit_rate(self) -> None:
+        adapter = opened()
+        adapter.from_host(b"t10")
+        adapter.overrun()
+        adapter.power_on()
+        assert adapter.from_host(b"O\rt1000\rS6\rO\rF\r") == (b"\a\a\r\rF00\r", ())
+
+    def test_q1_opens_the_channel(self) -> None:
+        adapter = opened(b"S6\rO\rQ1\r")
+        adapter.power_on()
+        assert adapter.from_host(b"t1000\r") == (b"z\r", (Frame(0x100),))
+
+    def test_q2_opens_the_channel_as_a_listener(self) -> None:
+        adapter = opened(b"S6\rO\rQ2\r")
+        adapter.power_on()
+        assert adapter.from_host(b"t1000\r") == (b"\a", ())
+        assert adapter.from_bus(Frame(0x100), 0) == b"t1000\r"
+
+    def test_polling_and_time_stamps_keep_their_settings(self) -> None:
+        adapter = opened(b"X0\rZ1\rS6\rO\rQ1\r")
+        adapter.power_on()
+        assert adapter.from_bus(Frame(0x100), 0) == b""
+        assert adapter.from_host(b"P\r").to_host == b"t10000000\r"
+
+
 @pytest.mark.parametrize(
     ("now_ms", "stamp"), [(0, b"0000"), (4660, b"1234"), (59_999, b"EA5F"), (60_000, b"0000")]
 )
@@ -139,7 +221,26 @@ def test_an_overrun_is_flagged_once() -> None:
 
 
 pieces = st.lists(
-    st.sampled_from([b"C\r", b"S6\r", b"O\r", b"L\r", b"Z1\r", b"V\r", b"F\r", b"\r", b"\n", b"\a", b"t"])
+    st.sampled_from(
+        [
+            b"C\r",
+            b"S6\r",
+            b"O\r",
+            b"L\r",
+            b"Z1\r",
+            b"X0\r",
+            b"A\r",
+            b"Q1\r",
+            b"U1\r",
+            b"W1\r",
+            b"V\r",
+            b"F\r",
+            b"\r",
+            b"\n",
+            b"\a",
+            b"t",
+        ]
+    )
     | any_frame.map(lambda frame: frame_to_text(frame) + b"\r")
     | st.binary(max_size=40),
     max_size=30,

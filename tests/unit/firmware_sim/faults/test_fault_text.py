@@ -6,7 +6,17 @@ import pytest
 
 from firmware_sim.arm.events import Leak
 from firmware_sim.faults.fault_text import fault_text, parse_fault
-from firmware_sim.faults.kinds import AnyFault, ArmFault, BusOff, Flood, Hang, Late, Lose, Miscount
+from firmware_sim.faults.kinds import (
+    AnyFault,
+    ArmFault,
+    BusOff,
+    ErrorFrames,
+    Flood,
+    Hang,
+    Late,
+    Lose,
+    Miscount,
+)
 from firmware_sim.scenario import read_scenario
 from hil.core.errors import DocumentError
 
@@ -19,6 +29,8 @@ EXAMPLES: list[tuple[str, AnyFault]] = [
     ("hang:adc@vertical>0.05+0.5", Hang("adc", when="vertical>0.05", at_s=0.5)),
     ("bus-off@rotation<-1e-2/1", BusOff(when="rotation<-1e-2", for_s=1.0)),
     ("flood:2047,0.001@0", Flood(0x7FF, 0.001)),
+    ("error-frames@running/1", ErrorFrames(when="running", for_s=1.0)),
+    ("error-frames:5%,adc@2", ErrorFrames("5%", "adc", at_s=2.0)),
     ("leak:vertical,1,1e-08@running+1", ArmFault(LEAK, when="running", at_s=1.0)),
 ]
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from support.boards_on_a_link import BoardsOnALink
-from support.shipped_rig import SHIPPED_RIG
+from support.shipped_rig import RIG_TEXT, SHIPPED_RIG
 
 from hil.cli import monitor as command
 from hil.cli.monitor import Monitor
@@ -115,6 +116,14 @@ class TestCommand:
         status = json.loads(capsys.readouterr().out)
         assert status["boards"]["adc"]["state"] == "pre-operational"
         assert (status["bus"]["name"], status["bus"]["bit_rate"]) == (talking.spec, 250_000)
+
+    def test_the_rig_file_gives_the_bit_rate(
+        self, talking: Link, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        rig = tmp_path / "rig.toml"
+        rig.write_text(RIG_TEXT.replace('channel = "sim"', "bit_rate = 125000"))
+        assert command.main(["--bus", talking.spec, "--once", "--json", "--rig", str(rig)]) == 0
+        assert json.loads(capsys.readouterr().out)["bus"]["bit_rate"] == 125_000
 
     def test_on_a_silent_bus_once_has_status_1(self, other: Link, capsys: pytest.CaptureFixture[str]) -> None:
         assert command.main(["--bus", other.spec, "--once"]) == 1

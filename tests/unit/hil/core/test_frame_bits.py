@@ -10,6 +10,40 @@ from hil.core.wire.frame_bits import bits_on_wire
 SHORTEST_STANDARD, SHORTEST_EXTENDED = 47, 67
 """Bits of a frame without data and stuff bits, with the intermission (ISO 11898-1)."""
 
+CAN_UTILS = {
+    "000#": 53,
+    "7FF#": 50,
+    "080#": 51,
+    "000#0100": 68,
+    "190#00400041004217A5": 120,
+    "220#0000000000000000": 125,
+    "555#AAAAAAAAAAAAAAAA": 112,
+    "7FF#FFFFFFFFFFFFFFFF": 126,
+    "078#3C3C3C3C3C3C3C3C": 131,
+    "710#05": 58,
+    "321#R": 49,
+    "00000000#": 74,
+    "1FFFFFFF#": 74,
+    "1ABCDEF0#F8F9FAFBFCFDFEFF": 142,
+    "00123456#0000000000000000": 145,
+    "1E0F83C1#0F0F0F0F0F": 112,
+    "12345678#R": 69,
+}
+"""Frames in the notation of candump, and their lengths as can-utils computes them (``canbusload -e``)."""
+
+
+def read(text: str) -> Frame:
+    """Return the frame that candump shows as ``text``."""
+    identifier, _, data = text.partition("#")
+    is_remote = data == "R"
+    content = b"" if is_remote else bytes.fromhex(data)
+    return Frame(int(identifier, 16), content, len(identifier) == 8, is_remote)
+
+
+@pytest.mark.parametrize("text", CAN_UTILS)
+def test_the_length_is_that_of_can_utils(text: str) -> None:
+    assert bits_on_wire(read(text)) == CAN_UTILS[text]
+
 
 def remainder(bits: list[int]) -> list[int]:
     """Return the remainder of a polynomial division over GF(2) by x^15+x^14+x^10+x^8+x^7+x^4+x^3+1."""
@@ -28,7 +62,7 @@ def reference_bits(frame: Frame) -> int:
         numbers = [(0, 1), (frame.id >> 18, 11), (3, 2), (frame.id % 2**18, 18), (frame.is_remote, 1), (0, 2)]
     else:
         numbers = [(0, 1), (frame.id, 11), (frame.is_remote, 1), (0, 2)]
-    numbers += [(len(frame.data), 4), *((byte, 8) for byte in frame.data)]
+    numbers += [(len(frame.data), 4), *((byte, 8) for byte in frame.data if not frame.is_remote)]
     bits = [int(bit) for value, width in numbers for bit in format(int(value), f"0{width}b")]
     bits += remainder(bits)
     stuffed: list[int] = []
@@ -56,9 +90,11 @@ def test_the_length_agrees_with_a_second_implementation(seed: int) -> None:
     assert shortest <= bits <= shortest + (shortest - 13 - 1) // 4
 
 
-def test_a_remote_frame_has_no_data_bits() -> None:
-    frame = Frame(0x123, is_remote=True)
+@pytest.mark.parametrize("length", range(9))
+def test_a_remote_frame_has_no_data_bits(length: int) -> None:
+    frame = Frame(0x123, bytes(length), is_remote=True)
     assert bits_on_wire(frame) == reference_bits(frame)
+    assert SHORTEST_STANDARD <= bits_on_wire(frame) <= SHORTEST_STANDARD + 8
 
 
 def test_an_error_frame_of_the_controller_has_no_length() -> None:
