@@ -10,7 +10,7 @@ SOURCES_OF_INSTALL := pyproject.toml requirements.lock $(wildcard firmware_sim/a
 export OPENBLAS_NUM_THREADS = 1
 
 .SILENT:
-.PHONY: run test test-examples bench lock clean run-packages test-packages
+.PHONY: run test test-examples fuzz mutants bench lock clean run-packages test-packages
 
 run: .venv/for-run
 	$(BIN)/hil run
@@ -20,7 +20,8 @@ test: .venv/for-test test-packages tests/node/node_modules
 	$(BIN)/ruff format --check --quiet $(PYTHON_CODE)
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q -n 2 --cov --cov-report=term:skip-covered tests/unit
-	$(BIN)/python -m pytest -q -n 2 tests/property
+	$(BIN)/python -m pytest -q -n 2 tests/property tests/fuzz
+	PYTHONPATH=tests $(BIN)/python -m fuzz --inputs 300000
 	$(BIN)/hil vcan -- $(BIN)/python -m pytest -q tests/vcan
 	$(BIN)/python -m pytest -q -n 2 -m "not real_time" tests/acceptance
 	$(BIN)/python -m pytest -q -m real_time tests/acceptance
@@ -39,6 +40,11 @@ test-examples: .venv/for-test test-packages
 	cd tests/examples && $(CURDIR)/.venv/wheel/bin/python -P -c \
 		'import hil; assert "/.venv/wheel/" in hil.__file__, hil.__file__'
 	cd tests/examples && $(CURDIR)/.venv/wheel/bin/python -P -m pytest -q
+
+# N calls of the gateway, drawn from SEED on. SEQUENCE=file runs one sequence again.
+fuzz: .venv/for-test
+	PYTHONPATH=tests $(BIN)/python -m fuzz $(if $(SEQUENCE),--sequence $(SEQUENCE)) \
+		--inputs $(or $(N),10000000) --seed $(or $(SEED),1)
 
 # Each prints its figures beside a peer's, measured in the same run.
 bench: .venv/for-test
