@@ -13,7 +13,7 @@ from firmware_sim.simulated_plant import planned_events
 from hil import __version__
 from hil.cli.confirmation import protection_warnings
 from hil.cli.daemon_actions import EVENT_CHECK, daemon_actions, has_events, unseen_events
-from hil.cli.live_page import start_page
+from hil.cli.live_page import live_views, make_feed
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
     SIMULATED,
@@ -24,9 +24,12 @@ from hil.cli.run_parts import (
     run_header,
     stop_on_signals,
 )
+from hil.core.errors import EnvironmentLackError
 from hil.core.output import LogEntry, Severity
 from hil.host.realtime_rights import real_time_rights
 from hil.links import Link, open_link
+from hil.live.feed import LiveFeed
+from hil.live.feed_file import link_beside
 from hil.operation.pipe import Facts
 from hil.operation.socket_path import default_path, listening
 from hil.operation.socket_process import socket_process
@@ -69,7 +72,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         recorder = None if options.no_record else _recorder(setup, spec, link, epoch_offset_ns, options)
         limits = RotationLimits(options.rotate_bytes, options.rotate_s, options.keep)
         recordings = None if recorder is None else Recordings(recorder, limits)
-        observers = _page(stack, setup, spec, epoch_offset_ns, recordings, options)
+        feed, feed_warning = _feed(stack, setup, spec, epoch_offset_ns, recordings, options)
         log = LogLines()
         stack.callback(log.close)
         facts = Facts(__version__, bus, setup.texts[RIG_NAME], None if events is None else EVENT_CHECK)
@@ -84,17 +87,23 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 time.monotonic_ns,
                 missing_rights(setup.rig, bus, rights),
             )
+            observers: list[Observer] = [port, log, WatchdogObserver(notifier)]
+            if feed is not None:
+                observers.append(feed)
             session = Session(
                 setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns),
                 plan,
                 link.send,
                 time.monotonic_ns,
                 recorder or NoRecorder(),
-                Observers(port, log, WatchdogObserver(notifier), *observers),
+                Observers(*observers),
                 setup.rig.adc.stale_after_periods,
                 recordings,
+                feed,
             )
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
+            if feed_warning:
+                session.note(LogEntry(Severity.WARNING, "live", feed_warning))
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
             error = run(session, link, stop, port.serve, rights.poll_ns)
@@ -123,22 +132,32 @@ def _start_boards(
     return ours
 
 
-def _page(
+def _feed(
     stack: contextlib.ExitStack,
     setup: RunSetup,
     bus: str,
     epoch_offset_ns: int,
     recordings: Recordings | None,
     options: argparse.Namespace,
-) -> list[Observer]:
-    """Start the page in the browser, if the user asks for it. Return its observers."""
-    if not options.live:
-        return []
-    recording = "" if recordings is None else str(recordings.path or "")
-    operator_socket = str(options.socket or default_path()) if options.operate else None
-    feed = start_page(setup, recording, bus, epoch_offset_ns, options, operator_socket)
-    stack.callback(feed.close)
-    return [feed]
+) -> tuple[LiveFeed | None, str]:
+    """Create the feed for `hil live`, and start the views that the user asks for.
+
+    Return the feed, or None and the reason why there is none. Raises EnvironmentLackError if there is none
+    and the user asks for a view.
+    """
+    socket_path = options.socket or default_path()
+
+    def recording() -> str:
+        return "" if recordings is None or recordings.path is None else str(recordings.path)
+
+    try:
+        feed = make_feed(setup, bus, epoch_offset_ns, options, recording, link_beside(socket_path))
+    except EnvironmentLackError as error:
+        if options.live or options.foxglove is not None:
+            raise
+        return None, f"{error}: `hil live` cannot show this daemon"
+    operator_socket = socket_path if options.operate else None
+    return stack.enter_context(live_views(feed, options, operator_socket)), ""
 
 
 def _recorder(

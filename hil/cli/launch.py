@@ -10,7 +10,7 @@ from pathlib import Path
 
 from firmware_sim.simulated_plant import build_boards, build_plant, planned_events, refuse_host_faults
 from hil.cli.confirmation import protection_warnings
-from hil.cli.live_page import start_page
+from hil.cli.live_page import live_views, make_feed
 from hil.cli.quantities import duration_text
 from hil.cli.run_parts import (
     SIMULATED,
@@ -61,17 +61,21 @@ def run_realtime(
         planned = planned_events(options) if bus == SIMULATED else {}
         header = run_header(setup, epoch_offset_ns, spec, link.stamp_origin, host_versions(), planned)
         recorder = Recorder(path, header, lossless=False)
-        feed = start_page(setup, str(path), spec, epoch_offset_ns, options) if options.live else None
+        feed = None
+        if options.live or options.foxglove is not None:
+            made = make_feed(setup, spec, epoch_offset_ns, options, lambda: str(path))
+            feed = stack.enter_context(live_views(made, options))
         display = LiveDisplay(axes)
         stack.callback(display.close)
         observer: Observer = display
         if feed is not None:
-            stack.callback(feed.close)
             observer = Observers(display, feed)
         with real_time_rights(setup.rig.loop.poll_before_deadline_s) as rights:
             most_refused = setup.rig.adc.stale_after_periods
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
-            session = Session(gateway, plan, link.send, time.monotonic_ns, recorder, observer, most_refused)
+            session = Session(
+                gateway, plan, link.send, time.monotonic_ns, recorder, observer, most_refused, feed=feed
+            )
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             plan.take_failures(missing_rights(setup.rig, bus, rights))
             for warning in protection_warnings(setup, bus):

@@ -1,7 +1,8 @@
-"""``hil live``: show a daemon, or play a recording, on a page in the browser."""
+"""``hil live``: show a daemon or a recording on a page in the browser, or serve a daemon to Foxglove."""
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -11,9 +12,9 @@ from hil.host.command_parser import CommandParser
 from hil.live.address import add_address_options, open_address
 
 DESCRIPTION = """\
-Show the running daemon, or play a recording, on a page in the browser. A daemon that was started without
---live is shown with 20 samples a second; `hil daemon --live` shows every period. A recording has a time
-slider and is played at any speed. Ctrl-C ends the page, not the daemon."""
+Show the running daemon, or play a recording, on a page in the browser. The page has every period of the last
+ten minutes, also of the time before it was opened. A recording has a time slider and is played at any speed.
+With --foxglove, serve the daemon to Foxglove instead of the page. Ctrl-C ends the page, not the daemon."""
 
 
 def parser() -> CommandParser:
@@ -30,29 +31,58 @@ def parser() -> CommandParser:
 
 def main(argv: list[str]) -> int:
     """Run ``hil live`` with ``argv``; return its exit status. Raises HilError."""
-    from hil.live.feed import start_server
-    from hil.operation.client import connect
-    from hil.operation.socket_path import default_path
-    from hil.recording import open_recording
+    from hil.live.process import start_foxglove_server, start_page_server
 
     options = parser().parse_args(argv)
-    daemon = None if options.recording is not None else str(options.socket or default_path())
-    if daemon is None:
-        open_recording(options.recording)
-        if options.operate:
-            raise DocumentError("--operate needs a daemon; a recording can only be played")
+    _check(options)
+    if options.foxglove is not None:
+        process, url = start_foxglove_server(_feed_of_daemon(options), options.host, options.foxglove)
     else:
-        connect(daemon).close()
-    with open_address(options.host, options.port) as address:
-        process = start_server(
-            address,
-            watched_socket=daemon,
-            recording=None if daemon else str(options.recording),
-            operator_socket=daemon if options.operate else None,
-        )
-    sys.stdout.write(f"{address.url}\nCtrl-C ends the page.\n")
+        feed = None if options.recording is not None else _feed_of_daemon(options)
+        operator_socket = _socket(options) if options.operate else None
+        with open_address(options.host, options.port) as address:
+            process = start_page_server(
+                address, feed=feed, recording=options.recording, operator_socket=operator_socket
+            )
+        url = address.url
+    sys.stdout.write(f"{url}\nCtrl-C ends the {'stream' if options.foxglove is not None else 'page'}.\n")
     sys.stdout.flush()
     try:
         return process.wait()
     finally:
         process.terminate()
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Raise HilError for arguments that do not fit together, and for a recording that cannot be read."""
+    from hil.recording import open_recording
+
+    if options.operate and options.foxglove is not None:
+        raise DocumentError("--operate needs the page; Foxglove only shows. Omit --operate or --foxglove")
+    if options.recording is None:
+        return
+    if options.operate:
+        raise DocumentError("--operate needs a daemon; a recording can only be played")
+    if options.foxglove is not None:
+        raise DocumentError(
+            f"--foxglove serves a run; Foxglove itself opens the recording: open {options.recording} there"
+        )
+    open_recording(options.recording)
+
+
+def _feed_of_daemon(options: argparse.Namespace) -> Path:
+    """Return the file with the feed of the daemon. Raises OperationError if no daemon runs."""
+    from hil.live.feed_file import FeedReader, link_beside
+    from hil.operation.client import connect
+
+    connect(_socket(options)).close()
+    link = link_beside(_socket(options))
+    FeedReader(link).close()
+    return link
+
+
+def _socket(options: argparse.Namespace) -> Path:
+    from hil.operation.socket_path import default_path
+
+    path: Path = options.socket or default_path()
+    return path

@@ -13,6 +13,8 @@ from hil.core.errors import EnvironmentLackError
 
 LOOPBACK = "127.0.0.1"
 TOKEN_BYTES = 24
+FOXGLOVE_PORT = 8765
+"""Port at which Foxglove looks for a stream by default."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,7 @@ def open_address(host: str = LOOPBACK, port: int = 0) -> Address:
     Warns if other machines can open the page.
     """
     check_installed()
-    if host != LOOPBACK:
-        sys.stderr.write(
-            f"hil: the page is served on {host}, without encryption: whoever can read the network can read "
-            "the token, and then sees what the page shows and does what it may\n"
-        )
+    warn_of_network("the page", host)
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -66,6 +64,20 @@ def open_address(host: str = LOOPBACK, port: int = 0) -> Address:
     return Address(listener, [f"{name}:{port}" for name in names], secrets.token_urlsafe(TOKEN_BYTES))
 
 
+def warn_of_network(what: str, host: str) -> None:
+    """Warn if ``host`` is an address that other machines can reach."""
+    if host in (LOOPBACK, "localhost"):
+        return
+    if what == "the page":
+        risk = "can read the token, and then sees what the page shows and does what it may"
+    else:
+        risk = "sees it, because it has no token"
+    sys.stderr.write(
+        f"hil: {what} is served on {host}, without encryption: whoever can reach this machine on the network "
+        f"{risk}\n"
+    )
+
+
 def add_address_options(command: argparse._ActionsContainer) -> None:
     """Add the options ``--port`` and ``--host`` of the page."""
     command.add_argument(
@@ -76,6 +88,14 @@ def add_address_options(command: argparse._ActionsContainer) -> None:
         default=LOOPBACK,
         metavar="ADDRESS",
         help=f"address to listen on (default {LOOPBACK}: this machine alone)",
+    )
+    command.add_argument(
+        "--foxglove",
+        type=int,
+        nargs="?",
+        const=FOXGLOVE_PORT,
+        metavar="PORT",
+        help=f"serve the run to Foxglove, with the topics of a recording (default port {FOXGLOVE_PORT})",
     )
 
 

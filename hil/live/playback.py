@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.live.history import HISTORY_S, Rows
+from hil.live.feed_file import HISTORY_S
+from hil.live.history import Rows
 from hil.live.readings import readings
 from hil.recording import open_recording
 

@@ -12,6 +12,12 @@ from hil.live.history import COLUMNS, Rows
 from hil.recording.tables import AxisTable, BoolArray
 from hil.views.summary import axis_summary
 
+BEFORE_LAST_CHANGE_S = 30.0
+"""Time in s before the last change of a setpoint from which on rows are read.
+
+It is also the time over which tracking is read while a setpoint moves, or never changes.
+"""
+
 
 def readings(rows: Rows, axes: Sequence[tuple[str, str]], states: Sequence[str]) -> dict[str, Any]:
     """Return the readings of the last step, or of tracking, by the axis' name; nothing unless running now.
@@ -27,10 +33,18 @@ def readings(rows: Rows, axes: Sequence[tuple[str, str]], states: Sequence[str])
     running[0] = len(stops) == 0
     found: dict[str, Any] = {}
     for place, (name, unit) in enumerate(axes):
-        summary = axis_summary(_table(rows, place, running, name, unit))
+        begin = _first_row(rows, place)
+        summary = axis_summary(_table(rows[begin:], place, running[begin:], name, unit))
         if summary is not None:
             found[name] = {"kind": type(summary).__name__, **asdict(summary)}
     return found
+
+
+def _first_row(rows: Rows, place: int) -> int:
+    """Return the row from which on an axis is read."""
+    changes = np.flatnonzero(np.diff(rows[:, len(COLUMNS) + 3 * place]))
+    last_s = rows[changes[-1] if len(changes) else -1, 0]
+    return int(np.searchsorted(rows[:, 0], last_s - BEFORE_LAST_CHANGE_S))
 
 
 def _table(rows: Rows, place: int, running: BoolArray, name: str, unit: str) -> AxisTable:

@@ -1,8 +1,10 @@
 """The process that serves the live page: ``python -m hil.live.server DESCRIPTOR``.
 
-It reads its options as JSON from the descriptor, then the feed of a run, or a recording. It can only show,
-unless it was given the socket of a daemon. A browser is answered if it calls the server by one of the names
-in the options and has the token; a page of another origin is refused (DNS rebinding, cross-site requests).
+It reads its options as JSON from the descriptor. It shows a run, whose feed it reads, or a recording. It can
+only show, unless it was given the socket of a daemon.
+
+A browser is answered if it calls the server by one of the names in the options and has the token. A page of
+another origin is refused (DNS rebinding, cross-site requests).
 """
 
 from __future__ import annotations
@@ -13,8 +15,8 @@ import json
 import os
 import socket
 import sys
-import threading
 from collections.abc import Callable, Mapping
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
@@ -23,15 +25,17 @@ from urllib.parse import urlsplit
 import numpy as np
 from tornado import httpserver, ioloop, web, websocket
 
-from hil.live.feed import MESSAGE_BYTES
+from hil.live.feed_file import FeedReader
 from hil.live.history import Rows
 from hil.live.operator import DaemonOperator
 from hil.live.run import Run
 
 UPDATE_MS = 50
 """Time between two updates of a viewer: 20 a second."""
-READINGS_MS = 500
+READINGS_MS = 1000
 """Time between two readings of the last steps."""
+LAST_UPDATES_S = 1.0
+"""Time for which viewers are served after the end of the run."""
 MAX_VIEWERS = 16
 MAX_ANSWERS = 20
 """Number of answers that wait for a viewer; older ones are dropped."""
@@ -98,8 +102,6 @@ class RunSource:
         if run.is_over and not self._is_over:
             self._is_over = True
             messages.append({"over": True})
-        if run.history is None:
-            return messages, np.empty((0, 0))
         rows = run.history.since(self._next_row)
         self._next_row = run.history.end
         return messages, rows
@@ -167,8 +169,8 @@ class Viewer(websocket.WebSocketHandler):
             if self._is_first:
                 messages = self.source.begin() + messages
                 self._is_first = False
-            for message in messages:
-                await self.write_message(json.dumps(message))
+            if messages:
+                await self.write_message(json.dumps(messages))
             if len(rows):
                 await self.write_message(np.ascontiguousarray(rows).tobytes(), binary=True)
         except websocket.WebSocketClosedError:
@@ -236,62 +238,46 @@ def application(hosts: list[str], token: str, make_source: object) -> web.Applic
 
 
 def serve(options: dict[str, Any]) -> None:
-    """Serve until the feed ends and every viewer has gone, or until the process is killed."""
-    operator = None if options["operate"] is None else DaemonOperator(options["operate"])
+    """Serve until the run has ended, or until the process is killed."""
     loop = ioloop.IOLoop.current()
-    run = Run()
+    update: Callable[[], None]
     if options["recording"] is not None:
         from hil.live.playback import Playback, PlaybackSource
 
         playback = Playback(options["recording"])
         app = application(options["hosts"], options["token"], lambda: PlaybackSource(playback))
+        update = partial(_update_viewers, app)
     else:
+        operator = None if options["operate"] is None else DaemonOperator(options["operate"])
+        run = Run(FeedReader(Path(options["feed"])))
         app = application(options["hosts"], options["token"], lambda: RunSource(run, operator))
-        _begin_to_receive(options, run, loop, lambda: _update(app, loop))
-        ioloop.PeriodicCallback(run.update_readings, READINGS_MS).start()
+        update = partial(_update_from_run, app, run, loop)
+        ioloop.PeriodicCallback(partial(_update_readings, app, run), READINGS_MS).start()
     server = httpserver.HTTPServer(app, max_header_size=16384, max_body_size=0)
     server.add_socket(socket.socket(fileno=options["listen"]))
-    if options["feed"] is None:
-        ioloop.PeriodicCallback(lambda: _update(app, loop), UPDATE_MS).start()
+    ioloop.PeriodicCallback(update, UPDATE_MS).start()
     loop.start()
 
 
-def _update(app: web.Application, loop: ioloop.IOLoop) -> None:
+def _update_from_run(app: web.Application, run: Run, loop: ioloop.IOLoop) -> None:
+    """Take what is new of the run, and send it to the viewers. After the end of the run, stop."""
+    was_over = run.is_over
+    if not was_over:
+        run.update()
+    _update_viewers(app)
+    if run.is_over and not was_over:
+        loop.call_later(LAST_UPDATES_S, loop.stop)
+
+
+def _update_readings(app: web.Application, run: Run) -> None:
+    if app.settings["viewers"]:
+        run.update_readings()
+
+
+def _update_viewers(app: web.Application) -> None:
+    loop = ioloop.IOLoop.current()
     for viewer in list(app.settings["viewers"]):
         loop.add_callback(viewer.update)
-
-
-def _begin_to_receive(
-    options: dict[str, Any], run: Run, loop: ioloop.IOLoop, update: Callable[[], None]
-) -> None:
-    """Watch a daemon, or receive the feed of a run: about 22 messages a second, each with an ``update``."""
-    if options["watch"] is not None:
-        from hil.live.watched_daemon import watch
-
-        arguments = (Path(options["watch"]), run, loop.add_callback)
-        threading.Thread(target=watch, args=arguments, daemon=True).start()
-        return
-    feed = socket.socket(fileno=options["feed"])
-    feed.setblocking(False)
-    loop.add_handler(feed.fileno(), lambda *_: _read(feed, run, loop, update), loop.READ)
-
-
-def _read(feed: socket.socket, run: Run, loop: ioloop.IOLoop, update: Callable[[], None]) -> None:
-    """Read what the feed has, at most some hundred messages, so that viewers are served meanwhile."""
-    for _ in range(200):
-        try:
-            message = feed.recv(MESSAGE_BYTES)
-        except BlockingIOError:
-            break
-        except OSError:
-            message = b""
-        if not message:
-            loop.remove_handler(feed.fileno())
-            run.end()
-            loop.call_later(1.0, loop.stop)
-            break
-        run.take_message(message)
-    update()
 
 
 def main(descriptor: int) -> None:

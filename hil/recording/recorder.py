@@ -201,12 +201,7 @@ class Recorder:
 
     def log_entry(self, entry: LogEntry, now_ns: int) -> None:
         """Record a log entry of the core or of the shell."""
-        stamp = divmod(now_ns + self._epoch_offset_ns, _SECOND_NS)
-        payload = bytearray(CDR_HEADER) + struct.pack("<iIB3x", *stamp, entry.severity)
-        for text in (entry.source, entry.text, "", ""):
-            payload += cdr_string(text)
-            payload += bytes(-len(payload) % 4)
-        self._add_text(schemas.LOG_ENTRIES, now_ns, payload + struct.pack("<I", 0))
+        self._add_text(schemas.LOG_ENTRIES, now_ns, log_payload(entry, now_ns + self._epoch_offset_ns))
 
     @property
     def dropped(self) -> int:
@@ -346,6 +341,16 @@ def _packer(kind: MessageType, frame_id: str = "") -> tuple[Layout, Callable[...
     """Return the payload's layout, and a function that packs a message record from its values in order."""
     layout = layout_of(kind.definition, frame_id)
     return layout, struct.Struct(MESSAGE_HEADER.format + layout.format).pack
+
+
+def log_payload(entry: LogEntry, epoch_ns: int) -> bytearray:
+    """Return a log entry of the time ``epoch_ns`` as the payload of a ``rcl_interfaces/msg/Log``."""
+    stamp = divmod(epoch_ns, _SECOND_NS)
+    payload = bytearray(CDR_HEADER) + struct.pack("<iIB3x", *stamp, entry.severity)
+    for text in (entry.source, entry.text, "", ""):
+        payload += cdr_string(text)
+        payload += bytes(-len(payload) % 4)
+    return payload + struct.pack("<I", 0)
 
 
 def _empty_block() -> bytearray:

@@ -30,6 +30,16 @@ class Observer(Protocol):
         """Take a completed period of ``gateway``."""
 
 
+class PeriodFeed(Protocol):
+    """Recipient of every period after its command was sent and recorded. Its methods must never block."""
+
+    def period(self, cycle: Cycle, computed_ns: int, sent_ns: int) -> None:
+        """Take a period, the time at which the core had answered, and that of the last frame sent."""
+
+    def controller_changed(self, request: ControllerRequest) -> None:
+        """Take note that the core uses another controller."""
+
+
 class Session:
     """One run: the core, its plan, the bus on which it sends, its recorder and its observer.
 
@@ -50,8 +60,12 @@ class Session:
         observer: Observer,
         max_refused_commands: int | None = None,
         recordings: Recordings | None = None,
+        feed: PeriodFeed | None = None,
     ) -> None:
-        """``recordings`` are the files of ``recorder``, if new ones may begin while the loop runs."""
+        """``recordings`` are the files of ``recorder``, if new ones may begin while the loop runs.
+
+        ``feed`` is what live views are fed with.
+        """
         self.gateway = gateway
         self.plan = plan
         self._send = send
@@ -60,6 +74,7 @@ class Session:
         self._observer = observer
         self._max_refused_commands = max_refused_commands
         self._recordings = recordings
+        self._feed = feed
         self._sent_ns = 0
         """Time at which the last frame was handed to the bus."""
         self._refused_frames = self._refused_commands_in_row = 0
@@ -97,8 +112,11 @@ class Session:
         output = self._handle(partial(self.gateway.operate, request, now_ns, prepared), record, now_ns)
         reply = output.reply
         assert reply is not None, f"no reply to {request}"
-        if self._recordings is not None and isinstance(request, ControllerRequest) and reply.accepted:
-            self._recordings.controller_changed(request)
+        if isinstance(request, ControllerRequest) and reply.accepted:
+            if self._recordings is not None:
+                self._recordings.controller_changed(request)
+            if self._feed is not None:
+                self._feed.controller_changed(request)
         return reply
 
     def record_new(self, asked_by: str = "", path: Path | None = None) -> Reply:
@@ -210,6 +228,8 @@ class Session:
         """Record and show a completed period, and let the recorder pass on what it has."""
         self._recorder.cycle(cycle, computed_ns, self._sent_ns)
         self._observer.cycle(cycle, self.gateway)
+        if self._feed is not None:
+            self._feed.period(cycle, computed_ns, self._sent_ns)
         news = self._recorder.hand_over()
         if news is not None:
             self._observer.log(news)

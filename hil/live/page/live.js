@@ -58,7 +58,7 @@ let socket = null, isPaused = false, isDirty = false, mayOperate = false, isOver
 function connect() {
   socket = new WebSocket(`ws://${location.host}/stream${location.search}`);
   socket.binaryType = "arraybuffer";
-  socket.onmessage = (event) => (typeof event.data === "string" ? take(JSON.parse(event.data)) : takeRows(new Float64Array(event.data)));
+  socket.onmessage = (event) => (typeof event.data === "string" ? JSON.parse(event.data).forEach(take) : takeRows(new Float64Array(event.data)));
   socket.onclose = () => {
     setState(isOver ? "run has ended" : "connection lost", "lost");
     if (!isOver) setTimeout(connect, 1000);

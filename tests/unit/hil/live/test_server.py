@@ -7,23 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.live_feeds import make_feed, write_periods
 from tornado.httpclient import HTTPRequest
 from tornado.testing import AsyncHTTPTestCase, gen_test
 from tornado.web import Application
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from hil.live import server
-from hil.live.history import History
+from hil.live.feed_file import FeedReader
 from hil.live.run import Run
 from hil.live.server import RunSource, application
 
 TOKEN = "correct"
-RUN = {
-    "axes": [["vertical", "m"]],
-    "period_s": 0.0112,
-    "states": ["offline", "ready", "armed", "running", "fault"],
-    "start_ns": 0,
-}
 
 
 class Recorded:
@@ -39,11 +34,10 @@ class Recorded:
 
 class LivePage(AsyncHTTPTestCase):
     def get_app(self) -> Application:
-        self.run_ = Run()
-        self.run_.begin(RUN)
-        assert self.run_.history is not None
-        for _ in range(3):
-            self.run_.history.add_row(np.ones(8))
+        self.feed = make_feed()
+        self.run_ = Run(FeedReader(self.feed.path))
+        write_periods(self.feed, 1, 2, 3)
+        self.run_.update()
         self.operator: Recorded | None = None
         app = application([], TOKEN, lambda: RunSource(self.run_, self.operator))
         self.hosts: list[str] = app.settings["hosts"]
@@ -53,6 +47,10 @@ class LivePage(AsyncHTTPTestCase):
         super().setUp()
         self.host = f"127.0.0.1:{self.get_http_port()}"
         self.hosts.append(self.host)
+
+    def tearDown(self) -> None:
+        super().tearDown()
+        self.feed.close()
 
     def status(self, path: str, host: str | None = None) -> int:
         return int(self.fetch(path, headers={"Host": host or self.host}).code)
@@ -98,13 +96,32 @@ class LivePage(AsyncHTTPTestCase):
         connection = await self.viewer()
         (viewer,) = self._app.settings["viewers"]
         await viewer.update()
-        first = json.loads(str(await connection.read_message()))
-        assert first["run"] == RUN and first["may_operate"] is False
-        rows: object = ""
-        while isinstance(rows, str):
-            rows = await connection.read_message()
+        messages = json.loads(str(await connection.read_message()))
+        assert messages[0]["run"]["axes"] == [["vertical", "m"]] and messages[0]["may_operate"] is False
+        assert "rig_text" not in messages[0]["run"]
+        rows = await connection.read_message()
         assert isinstance(rows, bytes)
-        np.testing.assert_array_equal(np.frombuffer(rows), np.ones(24))
+        np.testing.assert_array_equal(np.frombuffer(rows).reshape(3, 8), self.run_.history.since(0))
+
+    @gen_test
+    async def test_an_update_is_at_most_two_messages(self) -> None:
+        connection = await self.viewer()
+        (viewer,) = self._app.settings["viewers"]
+        await viewer.update()
+        self.run_.log.append([0.0, 20, "a", "b"])
+        self.run_.log_end += 1
+        self.run_.status, self.run_.readings, self.run_.bus = {"counts": {}}, {"a": {}}, {"bus load": "1 %"}
+        write_periods(self.feed, 4)
+        self.run_.update()
+        await viewer.update()
+        received = [await connection.read_message() for _ in range(4)]
+        assert [type(message) for message in received] == [str, bytes, str, bytes]
+        assert [list(message) for message in json.loads(str(received[2]))] == [
+            ["log"],
+            ["status"],
+            ["bus"],
+            ["readings"],
+        ]
 
     async def answer_to(self, message: str) -> dict[str, Any]:
         connection = await self.viewer()
@@ -115,10 +132,11 @@ class LivePage(AsyncHTTPTestCase):
         await viewer.update()
         while True:
             received = await connection.read_message()
-            if isinstance(received, str) and "reply" in json.loads(received):
+            replies = [m for m in json.loads(received) if "reply" in m] if isinstance(received, str) else []
+            if replies:
                 connection.close()
                 self._app.settings["viewers"].clear()
-                return dict(json.loads(received)["reply"])
+                return dict(replies[0]["reply"])
 
     @gen_test
     async def test_a_page_that_only_shows_refuses_requests(self) -> None:
@@ -150,22 +168,8 @@ class LivePage(AsyncHTTPTestCase):
         connection = await self.viewer()
         (viewer,) = self._app.settings["viewers"]
         viewer._is_sending = True  # an update that is still on its way
-        assert self.run_.history is not None
-        self.run_.history.add_row(np.ones(8))
+        write_periods(self.feed, 4)
+        self.run_.update()
         await viewer.update()
         assert viewer.source._next_row == 0
         connection.close()
-
-
-def test_a_message_that_is_read_before_the_run_is_known_is_ignored() -> None:
-    run = Run()
-    run.take_message(b"P" + bytes(50))
-    assert run.history is None
-
-
-def test_log_entries_count_from_the_run() -> None:
-    run = Run()
-    run.begin({**RUN, "start_ns": 1_000_000_000})
-    run.take_message(json.dumps({"log": [3_500_000_000, 30, "adc", "late"]}).encode())
-    assert list(run.log) == [[2.5, 30, "adc", "late"]]
-    assert isinstance(run.history, History)

@@ -1,0 +1,280 @@
+"""The stream for Foxglove: what a client receives is, to the byte, what a recording of the run has."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Coroutine, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+from unittest import mock
+
+import foxglove
+import pytest
+from foxglove.websocket import ServerListener
+from mcap.reader import make_reader
+from support.live_feeds import RIG_TEXT, STATES
+from support.recorded_runs import AXES, EPOCH_OFFSET_NS, RUN_HEADER, in_memory, record_periods
+from tornado.websocket import WebSocketClientConnection, websocket_connect
+
+from hil.core.errors import EnvironmentLackError
+from hil.core.output import LogEntry, Severity
+from hil.live import feed as feed_module
+from hil.live import foxglove_server, process
+from hil.live.feed import LiveFeed
+from hil.live.feed_file import FeedReader, RunInformation
+from hil.live.foxglove_messages import Message, Packer
+from hil.live.foxglove_server import Publisher
+from hil.live.process import start_foxglove_server
+from hil.recording.recorder import Recorder
+
+ENTRY = LogEntry(Severity.WARNING, "adc", "late: 3 periods")
+LOG_NS = 6_000_000_000
+RUN = RunInformation(list(AXES), 0.0112, STATES, "", "slcan:none", 0, EPOCH_OFFSET_NS, RIG_TEXT)
+_Result = TypeVar("_Result")
+
+
+@pytest.fixture
+def feed() -> Iterator[LiveFeed]:
+    made = LiveFeed(RUN, {}, lambda: "")
+    yield made
+    made.close()
+
+
+def run_both(path: Path, feed: LiveFeed, periods: int, first: int = 0) -> None:
+    """Record periods and a log entry, and give the feed the same."""
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    both = mock.Mock(wraps=recorder)
+    both.cycle.side_effect = lambda *period: (recorder.cycle(*period), feed.period(*period))
+    record_periods(both, periods, first=first)
+    recorder.log_entry(ENTRY, LOG_NS)
+    with mock.patch.object(feed_module, "monotonic_ns", return_value=LOG_NS):
+        feed.log(ENTRY)
+    recorder.close({})
+
+
+def recorded(path: Path) -> list[Message]:
+    """Return the messages of a recording that are served to Foxglove too."""
+    topics = {channel.topic for channel in Packer(RUN).channels}
+    with path.open("rb") as file:
+        return [
+            Message(channel.topic, message.log_time, message.data)
+            for _, channel, message in make_reader(file).iter_messages(log_time_order=False)
+            if channel.topic in topics
+        ]
+
+
+def test_messages_are_those_of_the_recording_to_the_byte(tmp_path: Path, feed: LiveFeed) -> None:
+    path = tmp_path / "run.mcap"
+    reader = FeedReader(feed.path)
+    run_both(path, feed, 50)
+    messages = Packer(reader.run).take(reader)
+    assert len(messages) == 50 * (len(AXES) + 1) + 1
+    assert messages == recorded(path)
+
+
+def test_channels_have_the_schemas_of_the_recording(tmp_path: Path, feed: LiveFeed) -> None:
+    path = tmp_path / "run.mcap"
+    run_both(path, feed, 1)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    in_file = {
+        channel.topic: (summary.schemas[channel.schema_id].name, summary.schemas[channel.schema_id].data)
+        for channel in summary.channels.values()
+    }
+    served = Packer(RUN).channels
+    assert len(served) == len(AXES) + 2
+    for channel in served:
+        assert in_file[channel.topic] == (channel.type.name, channel.type.definition.encode())
+
+
+class Client:
+    """A client that speaks Foxglove's protocol."""
+
+    def __init__(self, connection: WebSocketClientConnection) -> None:
+        self._connection = connection
+        self.channels: dict[int, dict[str, Any]] = {}
+        self.server: dict[str, Any] = {}
+
+    @classmethod
+    async def connect(cls, port: int) -> Client:
+        """Connect, and subscribe to every channel. The number of a subscription is that of its channel."""
+        connection = await websocket_connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])
+        client = cls(connection)
+        while not client.channels:
+            message = json.loads(str(await connection.read_message()))
+            if message["op"] == "serverInfo":
+                client.server = message
+            elif message["op"] == "advertise":
+                client.channels = {channel["id"]: channel for channel in message["channels"]}
+        await client.send(
+            {"op": "subscribe", "subscriptions": [{"id": n, "channelId": n} for n in client.channels]}
+        )
+        return client
+
+    async def send(self, message: dict[str, Any] | str) -> None:
+        await self._connection.write_message(message if isinstance(message, str) else json.dumps(message))
+
+    async def message(self) -> Message:
+        """Return the next message of a channel: opcode 1, subscription, time and payload."""
+        received: object = ""
+        while not isinstance(received, bytes):
+            received = await self._connection.read_message()
+            assert received is not None
+        opcode, number, time_ns = struct.unpack_from("<BIQ", received)
+        assert opcode == 1
+        return Message(self.channels[number]["topic"], time_ns, received[13:])
+
+    def close(self) -> None:
+        self._connection.close()
+
+
+class Subscriptions(ServerListener):
+    """Counts subscriptions."""
+
+    def __init__(self) -> None:
+        self.count = threading.Semaphore(0)
+
+    def on_subscribe(self, client: object, channel: object) -> None:
+        self.count.release()
+
+
+class Served:
+    """A server in this process. A test publishes when every client has subscribed."""
+
+    def __init__(self) -> None:
+        self._context = context = foxglove.Context()  # channels do not keep it alive
+        self.packer = Packer(RUN)
+        self.publisher = Publisher(self.packer, context)
+        self._subscriptions = Subscriptions()
+        self._server = foxglove.start_server(
+            host="127.0.0.1", port=0, context=context, server_listener=self._subscriptions
+        )
+        self.port = self._server.port
+
+    async def client(self) -> Client:
+        client = await Client.connect(self.port)
+        for _ in client.channels:
+            await asyncio.to_thread(self._subscriptions.count.acquire)
+        return client
+
+    def stop(self) -> None:
+        self._server.stop()
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    server = Served()
+    yield server
+    server.stop()
+
+
+def wait_for(work: Coroutine[Any, Any, _Result]) -> _Result:
+    return asyncio.run(asyncio.wait_for(work, 30.0))
+
+
+def by_topic(messages: list[Message]) -> dict[str, list[Message]]:
+    found: dict[str, list[Message]] = {}
+    for message in messages:
+        found.setdefault(message.topic, []).append(message)
+    return found
+
+
+def test_a_client_receives_what_is_recorded(tmp_path: Path, feed: LiveFeed, served: Served) -> None:
+    path = tmp_path / "run.mcap"
+    reader = FeedReader(feed.path)
+
+    async def receive() -> tuple[list[Message], dict[int, dict[str, Any]]]:
+        client = await served.client()
+        run_both(path, feed, 40)
+        served.publisher.publish(served.packer.take(reader))
+        messages = [await client.message() for _ in range(40 * (len(AXES) + 1) + 1)]
+        client.close()
+        return messages, client.channels
+
+    messages, channels = wait_for(receive())
+    assert by_topic(messages) == by_topic(recorded(path))
+    for channel in channels.values():
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+
+
+def test_a_client_can_change_nothing(served: Served) -> None:
+    async def ask() -> dict[str, Any]:
+        client = await served.client()
+        client.close()
+        return client.server
+
+    assert wait_for(ask())["capabilities"] == []
+
+
+def test_a_client_that_sends_garbage_or_reads_nothing_troubles_no_other(
+    tmp_path: Path, feed: LiveFeed, served: Served
+) -> None:
+    path = tmp_path / "run.mcap"
+    reader = FeedReader(feed.path)
+
+    async def receive() -> list[Message]:
+        silent, garbage, good = await served.client(), await served.client(), await served.client()
+        for text in ("{", "[]", '{"op": "advertise", "channels": [{}]}', "\x00" * 10_000):
+            await garbage.send(text)
+        run_both(path, feed, 100)
+        served.publisher.publish(served.packer.take(reader))
+        messages = [await good.message() for _ in range(100 * (len(AXES) + 1) + 1)]
+        for client in (silent, garbage, good):
+            client.close()
+        return messages
+
+    assert by_topic(wait_for(receive())) == by_topic(recorded(path))
+
+
+def test_the_server_publishes_until_the_run_is_over(
+    feed: LiveFeed, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reader = FeedReader(feed.path)
+    monkeypatch.setattr(foxglove_server, "INTERVAL_S", 0.0)
+    published: list[Message] = []
+    monkeypatch.setattr(Publisher, "publish", lambda _self, messages: published.extend(messages))
+    monkeypatch.setattr(reader, "is_over", mock.Mock(side_effect=[False, True]))
+    with mock.patch.object(feed_module, "monotonic_ns", return_value=LOG_NS):
+        feed.log(ENTRY)  # before the server began: not published
+        foxglove_server.serve(reader, "127.0.0.1", 0)
+    assert published == []
+    assert capsys.readouterr().out.startswith("ws://127.0.0.1:")
+
+
+def test_the_process_ends_with_the_run(feed: LiveFeed, capfd: pytest.CaptureFixture[str]) -> None:
+    own = LiveFeed(RUN, {}, lambda: "")
+    started, url = start_foxglove_server(own.path, "127.0.0.1", 0)
+    assert url.startswith("ws://127.0.0.1:")
+    with pytest.raises(EnvironmentLackError, match=r"cannot be served on .* choose another port"):
+        start_foxglove_server(own.path, "127.0.0.1", int(url.rpartition(":")[2]))
+    own.close()
+    assert started.wait(20) == 0
+    assert "without encryption" not in capfd.readouterr().err
+
+
+def test_a_stream_on_the_network_is_warned_of(
+    feed: LiveFeed, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    silent = mock.Mock(stdout=mock.MagicMock(readline=mock.Mock(return_value=b"ws://0.0.0.0:1\n")))
+    monkeypatch.setattr(process.subprocess, "Popen", mock.Mock(return_value=silent))
+    start_foxglove_server(feed.path, "0.0.0.0", 1)
+    assert "the stream for Foxglove is served on 0.0.0.0, without encryption" in capsys.readouterr().err
+
+
+def test_without_the_extra_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process.importlib.util, "find_spec", lambda _name: None)
+    with pytest.raises(EnvironmentLackError, match=r"pip install 'pneumatic-hil\[foxglove\]'"):
+        start_foxglove_server(Path("feed"), "127.0.0.1", 1)
+
+
+def test_only_the_serving_process_imports_the_package() -> None:
+    program = "import sys, hil.cli.live, hil.cli.live_page, hil.live.server; print('foxglove' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
