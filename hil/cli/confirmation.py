@@ -63,10 +63,10 @@ def _target(setpoint: Setpoint, unit: str) -> str:
 
 def _measure(setup: RunSetup, bus: str) -> list[float] | None:
     from hil.links import open_link
-    from hil.shells.bus_guard import refuse_other_gateway
+    from hil.shells.bus_guard import sole_gateway
     from hil.shells.first_look import measured_positions
 
-    with open_link(bus) as link:
-        refuse_other_gateway(link, setup.rig.heartbeat_periods * setup.rig.loop.period_s)
+    heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
+    with open_link(bus) as link, sole_gateway(link, heartbeat_interval_s):
         gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
         return measured_positions(gateway, link)

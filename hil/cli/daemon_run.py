@@ -24,7 +24,7 @@ from hil.cli.run_parts import (
     run_header,
     stop_on_signals,
 )
-from hil.core.errors import EnvironmentLackError
+from hil.core.errors import EnvironmentLackError, LinkError
 from hil.core.output import LogEntry, Severity
 from hil.host.realtime_rights import real_time_rights
 from hil.links import Link, open_link
@@ -36,7 +36,7 @@ from hil.operation.socket_process import socket_process
 from hil.operation.systemd import Notifier
 from hil.recording.no_recorder import NoRecorder
 from hil.recording.recorder import Recorder
-from hil.shells.bus_guard import refuse_other_gateway
+from hil.shells.bus_guard import refuse_gateway_that_was_heard, sole_gateway
 from hil.shells.observers import Observers
 from hil.shells.operator_port import Described, OperatorPort
 from hil.shells.preflight import missing_rights
@@ -67,7 +67,8 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         events = _start_boards(stack, spec, options) if is_simulated else None
         link = stack.enter_context(open_link(spec))
         if not is_simulated:
-            refuse_other_gateway(link, setup.rig.heartbeat_periods * setup.rig.loop.period_s)
+            heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
+            stack.enter_context(sole_gateway(link, heartbeat_interval_s))
         epoch_offset_ns = time.time_ns() - time.monotonic_ns()
         recorder = None if options.no_record else _recorder(setup, spec, link, epoch_offset_ns, options)
         limits = RotationLimits(options.rotate_bytes, options.rotate_s, options.keep)
@@ -101,6 +102,12 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 recordings,
                 feed,
             )
+            try:
+                refuse_gateway_that_was_heard(link)
+            except LinkError as refusal:
+                if recorder is not None:
+                    recorder.close({"ending": {"reason": str(refusal)}})
+                raise
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             if feed_warning:
                 session.note(LogEntry(Severity.WARNING, "live", feed_warning))

@@ -21,6 +21,7 @@ from hil.cli.run_parts import (
     run_header,
     stop_on_signals,
 )
+from hil.core.errors import LinkError
 from hil.core.gateway import Gateway
 from hil.core.output import LogEntry, Severity
 from hil.recording.recorder import FAULTS_BEGUN, Recorder, RecorderReport
@@ -41,7 +42,7 @@ def run_realtime(
     """
     from hil.host.realtime_rights import real_time_rights
     from hil.links import open_link
-    from hil.shells.bus_guard import refuse_other_gateway
+    from hil.shells.bus_guard import refuse_gateway_that_was_heard, sole_gateway
     from hil.shells.observers import Observers
     from hil.shells.preflight import missing_rights
     from hil.shells.realtime import run
@@ -56,7 +57,8 @@ def run_realtime(
             stack.enter_context(boards_process(spec, options))
         link = stack.enter_context(open_link(spec))
         if bus != SIMULATED:
-            refuse_other_gateway(link, setup.rig.heartbeat_periods * setup.rig.loop.period_s)
+            heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
+            stack.enter_context(sole_gateway(link, heartbeat_interval_s))
         epoch_offset_ns = time.time_ns() - time.monotonic_ns()
         planned = planned_events(options) if bus == SIMULATED else {}
         header = run_header(setup, epoch_offset_ns, spec, link.stamp_origin, host_versions(), planned)
@@ -76,6 +78,11 @@ def run_realtime(
             session = Session(
                 gateway, plan, link.send, time.monotonic_ns, recorder, observer, most_refused, feed=feed
             )
+            try:
+                refuse_gateway_that_was_heard(link)
+            except LinkError as refusal:
+                recorder.close({"ending": {"reason": str(refusal)}})
+                raise
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             plan.take_failures(missing_rights(setup.rig, bus, rights))
             for warning in protection_warnings(setup, bus):

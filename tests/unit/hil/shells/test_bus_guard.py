@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
+from random import Random
 
 import pytest
 
@@ -14,7 +16,14 @@ from hil.core.frames import Frame
 from hil.core.wire import codec
 from hil.links import Link, Received, open_link
 from hil.shells import bus_guard
-from hil.shells.bus_guard import refuse_other_gateway
+from hil.shells.bus_guard import (
+    MARGIN,
+    MAX_RANDOM_S,
+    lock_name,
+    refuse_gateway_that_was_heard,
+    refuse_other_gateway,
+    sole_gateway,
+)
 from hil.shells.first_look import measured_positions
 from hil.shells.run_setup import RunSetup, load_setup
 
@@ -76,6 +85,68 @@ def test_a_babbling_bus_ends_the_listening(ends: tuple[Link, Link], monkeypatch:
         theirs.send(Frame(0x7F0))
     refuse_other_gateway(ours, 1000.0)
     assert ours.receive(0.0) is not None
+
+
+def test_of_two_gateways_of_this_machine_that_begin_together_one_is_refused(
+    ends: tuple[Link, Link],
+) -> None:
+    ours, theirs = ends
+    with (
+        sole_gateway(ours, INTERVAL_S),
+        pytest.raises(LinkError, match=rf"process {os.getpid()} of this machine is the gateway of this bus"),
+        sole_gateway(theirs, INTERVAL_S),
+    ):
+        pass
+    with sole_gateway(theirs, INTERVAL_S):
+        assert ours.receive(0.0) is None, "nothing was sent"
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "is_same"),
+    [
+        ("can0", "socketcan:can0", True),
+        ("slcan:/dev/null", "slcan:/dev/../dev/null@9600", True),
+        ("can0", "can1", False),
+        ("udp:4000", "udp:4001", False),
+    ],
+)
+def test_a_bus_is_held_however_its_name_is_written(one: str, other: str, is_same: bool) -> None:
+    assert (lock_name(one) == lock_name(other)) is is_same
+
+
+def test_a_gateway_that_was_heard_while_this_one_was_prepared_is_refused(ends: tuple[Link, Link]) -> None:
+    ours, theirs = ends
+    theirs.send(Frame(codec.TPDO1_ADC, bytes(8)))
+    refuse_gateway_that_was_heard(ours)
+    theirs.send(Frame(codec.SYNC))
+    with pytest.raises(LinkError, match="another gateway is on this bus"):
+        refuse_gateway_that_was_heard(ours)
+
+
+class SilentLink:
+    """A link on which nothing arrives. Waiting takes no time, and is counted."""
+
+    def __init__(self, spec: str) -> None:
+        self.spec = spec
+        self.waited_s: list[float] = []
+
+    def receive(self, timeout_s: float) -> None:
+        self.waited_s.append(timeout_s)
+
+
+@pytest.mark.parametrize(("bus", "random_s"), [("can0", MAX_RANDOM_S), ("vcan0", 0.0)])
+def test_on_a_bus_of_several_machines_the_time_of_listening_is_random(
+    monkeypatch: pytest.MonkeyPatch, bus: str, random_s: float
+) -> None:
+    monkeypatch.setattr(bus_guard, "_randomness", Random(7))
+    monkeypatch.setattr(bus_guard, "monotonic", lambda: 0.0)
+    link = SilentLink(bus)
+    for _ in range(50):
+        refuse_other_gateway(link, INTERVAL_S)  # type: ignore[arg-type]
+    least_s = MARGIN * INTERVAL_S
+    assert min(link.waited_s) >= least_s
+    assert max(link.waited_s) <= least_s + random_s
+    assert max(link.waited_s) - min(link.waited_s) >= 0.8 * random_s
 
 
 class LinkToBoards:
