@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
+import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
@@ -44,6 +46,8 @@ from hil.operation.socket_path import default_path
 
 TIMEOUT_S = 20.0
 """Longest wait for an answer. It is longer than the daemon's own wait for the loop."""
+
+_TIMEVAL = struct.Struct("ll")  # struct timeval of the kernel
 
 _Kind = TypeVar("_Kind")
 
@@ -104,7 +108,9 @@ class Client:
             if not answer.accepted:
                 raise RequestRefusedError(answer.text)
             while line := lines.read(timeout_s=interval_s + TIMEOUT_S):
-                yield msgspec.json.decode(line, type=Update).status
+                if not line.startswith(b'{"status"'):  # The daemon says why it disconnects.
+                    raise RequestRefusedError(_decode(line, Answer, self.path).text)
+                yield _decode(line, Update, self.path).status
 
     def arm(self, override: Iterable[str] = ()) -> str:
         """Allow motion: ready becomes armed. The valves stay centred. Return what happened.
@@ -216,7 +222,9 @@ class _Lines:
         self._unread = bytearray()
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            self._socket.settimeout(TIMEOUT_S)
+            # The kernel waits for room in the daemon's queue of connections. With a timeout of Python, it
+            # would refuse at once while many clients connect.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _TIMEVAL.pack(int(TIMEOUT_S), 0))
             self._socket.connect(os.fspath(path))
             self._greet()
         except (FileNotFoundError, ConnectionRefusedError):
@@ -254,7 +262,7 @@ class _Lines:
             self._socket.settimeout(TIMEOUT_S)
             self._socket.sendall(data)
         except OSError as error:
-            raise OperationError(f"{self._path}: the daemon has ended: {_reason(error)}") from None
+            raise OperationError(f"{self._path}: {self._last_words() or _reason(error)}") from None
         line = self.read(TIMEOUT_S)
         if not line:
             raise OperationError(f"{self._path}: the daemon closed the connection without an answer")
@@ -273,6 +281,13 @@ class _Lines:
             raise OperationError(f"{self._path}: the daemon does not answer: {_reason(error)}") from None
         line, _, self._unread = self._unread.partition(b"\n")
         return bytes(line)
+
+    def _last_words(self) -> str:
+        """Return why the daemon has disconnected this client, if it has said so."""
+        with contextlib.suppress(OperationError):
+            line = self.read(TIMEOUT_S)
+            return _decode(line, Answer, self._path).text if line else "the daemon has ended"
+        return ""
 
     def close(self) -> None:
         """Disconnect."""

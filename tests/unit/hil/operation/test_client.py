@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 from collections.abc import Iterator
@@ -71,3 +72,27 @@ def test_a_file_that_is_no_socket_is_explained(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OperationError, match="daemon"):
         connect(tmp_path / "file")
+
+
+def test_a_full_queue_of_connections_is_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as listener, contextlib.ExitStack() as stack:
+        listener.bind(str(path))
+        listener.listen(0)
+        waiting = stack.enter_context(socket.socket(socket.AF_UNIX))
+        waiting.connect(str(path))
+
+        def serve() -> None:
+            for _ in range(2):
+                connection, _ = listener.accept()
+                stack.enter_context(connection)
+                connection.sendall(GREETING)
+
+        probe = stack.enter_context(socket.socket(socket.AF_UNIX))
+        probe.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            probe.connect(str(path))
+        thread = threading.Thread(target=serve)
+        thread.start()
+        connect(path).close()
+        thread.join()
