@@ -38,10 +38,11 @@ request           keys besides ``id``            effect
 Numbers that are not finite are null in :class:`Status`: no sample has come yet. Later versions of the program
 may add keys to answers, which a client ignores. A request with an unknown key is refused.
 
-Limits: a line has at most ``MAX_LINE_BYTES`` bytes. ``MAX_CONNECTIONS`` clients are served at a time. A
-connection is read at ``MAX_REQUESTS_PER_S`` on average. A client that does not read what it asked for is
-disconnected after ``WRITE_TIMEOUT_S``, and so is one that sends a line which is no request. The socket file
-has mode 0600, and the daemon serves only its own user and root.
+Limits: a line has at most ``MAX_LINE_BYTES`` bytes. ``MAX_CONNECTIONS`` clients are served at a time. If more
+connect, the process with the most connections loses the one that was idle for longest. A connection is read
+at ``MAX_REQUESTS_PER_S`` on average. A client that does not read what it asked for is disconnected after
+``WRITE_TIMEOUT_S``, and so is one that sends a line which is no request. The socket file has mode 0600, and
+the daemon serves only its own user and root.
 """
 
 from __future__ import annotations

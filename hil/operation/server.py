@@ -16,6 +16,7 @@ import struct
 import time
 from collections import deque
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -28,6 +29,7 @@ from hil.core.rig import read_rig
 from hil.core.setpoint_change import PreparedSetpoint, prepare_setpoint
 from hil.core.suggestions import did_you_mean
 from hil.operation.pipe import MAX_MESSAGE_BYTES, Asked, Facts, FromLoop, Logged, Replied, StatusNow
+from hil.operation.places import Place, Places
 from hil.operation.protocol import (
     MAX_CONNECTIONS,
     MAX_LINE_BYTES,
@@ -75,7 +77,7 @@ class Server:
         self._decoder: msgspec.msgpack.Decoder[FromLoop] = msgspec.msgpack.Decoder(FromLoop)
         self._waiting: dict[int, asyncio.Future[Replied]] = {}
         self._number = time.monotonic_ns()  # later than every number of a server that ran before
-        self._connections = 0
+        self._places = Places(MAX_CONNECTIONS)
         self._refusing = 0
         self._status: Status | None = None
         self._log: deque[tuple[int, LogLine]] = deque(maxlen=LOG_LINES)
@@ -172,10 +174,12 @@ class Server:
 
     async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve a client, or refuse to."""
-        asked_by, refusal = self._check_peer(writer.get_extra_info("socket"))
-        if self._connections >= MAX_CONNECTIONS:
+        peer, refusal = self._check_peer(writer.get_extra_info("socket"))
+        place = None
+        if refusal is None:
+            place = self._places.take(peer.process_id, time.monotonic(), lambda: _evict(writer))
             refusal = f"{MAX_CONNECTIONS} clients are connected, the limit; disconnect one"
-        if refusal is not None:
+        if place is None:
             if self._refusing < MAX_REFUSED_CONNECTIONS:
                 self._refusing += 1
                 try:
@@ -183,14 +187,15 @@ class Server:
                 finally:
                     self._refusing -= 1
             return
-        self._connections += 1
         try:
             await _write(writer, Greeting(PROTOCOL, VERSION, self._facts.hil))
-            await self._serve(reader, writer, asked_by)
+            await self._serve(reader, writer, str(peer), place)
         finally:
-            self._connections -= 1
+            self._places.release(place)
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, asked_by: str) -> None:
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, asked_by: str, place: Place
+    ) -> None:
         """Answer the requests of a client, one after the other, until it disconnects or sends nonsense."""
         paid_until_s = time.monotonic()
         while True:
@@ -202,7 +207,7 @@ class Server:
                 text = f"the line is longer than {MAX_LINE_BYTES} bytes, the limit"
                 await _write(writer, Answer(id=0, accepted=False, text=text))
                 return
-            now_s = time.monotonic()
+            place.active_s = now_s = time.monotonic()
             paid_until_s = max(paid_until_s, now_s - BURST_REQUESTS / MAX_REQUESTS_PER_S)
             paid_until_s += 1.0 / MAX_REQUESTS_PER_S
             await asyncio.sleep(max(paid_until_s - now_s, 0.0))
@@ -293,13 +298,35 @@ class Server:
 
         getattr(import_module(module), function)(text)
 
-    def _check_peer(self, connection: socket.socket) -> tuple[str, str | None]:
+    def _check_peer(self, connection: socket.socket) -> tuple[Peer, str | None]:
         """Return who is at the other end, and why it is not served, if so."""
         data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-        pid, uid, _ = _CREDENTIALS.unpack(data)
-        if uid not in (0, os.getuid()):
-            return "", f"user {_user(uid)} may not operate this daemon, which belongs to {_user(os.getuid())}"
-        return f"{_user(uid)} ({_program(pid)}, process {pid})", None
+        process_id, user_id, _ = _CREDENTIALS.unpack(data)
+        peer = Peer(process_id, user_id)
+        if user_id in (0, os.getuid()):
+            return peer, None
+        owner = _user(os.getuid())
+        return peer, f"user {_user(user_id)} may not operate this daemon, which belongs to {owner}"
+
+
+class Peer(NamedTuple):
+    """A client, as the kernel knows it."""
+
+    process_id: int
+    user_id: int
+
+    def __str__(self) -> str:
+        return f"{_user(self.user_id)} ({_program(self.process_id)}, process {self.process_id})"
+
+
+def _evict(writer: asyncio.StreamWriter) -> None:
+    """Disconnect a client whose place another process gets."""
+    text = f"disconnected: more than {MAX_CONNECTIONS} clients, and this one was idle for longest"
+    writer.write(encode_line(Answer(id=0, accepted=False, text=text)))
+    if writer.transport.get_write_buffer_size() > 0:
+        writer.transport.abort()
+    else:
+        writer.close()
 
 
 async def _write(writer: asyncio.StreamWriter, message: msgspec.Struct) -> None:
@@ -316,6 +343,8 @@ def _user(uid: int) -> str:
 
 
 def _program(pid: int) -> str:
+    """Return the name that a program has given itself, without characters that could act on a terminal."""
     with contextlib.suppress(OSError):
-        return Path(f"/proc/{pid}/comm").read_text(errors="replace").strip()
+        name = Path(f"/proc/{pid}/comm").read_text(errors="replace").rstrip("\n")
+        return "".join(c if c.isprintable() and c not in "(),:" else "?" for c in name)
     return "unknown program"

@@ -6,7 +6,7 @@ import json
 import os
 import select
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -234,6 +234,63 @@ def test_surplus_connections_are_refused(bench: Bench) -> None:
             client.close()
 
 
+def other_processes(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Let further clients come from the process with the given number."""
+
+    def become(process_id: int) -> None:
+        monkeypatch.setattr(server, "_CREDENTIALS", _Credentials((process_id, os.getuid(), 0)))
+
+    return become
+
+
+def test_a_program_that_takes_every_place_does_not_keep_an_operator_out(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    become = other_processes(monkeypatch)
+    become(7)
+    clients = [RawClient(bench[1]) for _ in range(MAX_CONNECTIONS)]
+    try:
+        for client in clients:
+            assert "protocol" in client.read()
+        clients[0].send(b'{"request": "arm"}\n')
+        assert clients[0].read()["accepted"]
+        become(8)
+        with connect(bench[1]) as operator:
+            assert operator.stop() == "done"
+        assert "idle for longest" in clients[1].read()["text"]
+        assert clients[1].read() == {}
+        clients[0].send(b'{"request": "stop"}\n')
+        assert clients[0].read()["accepted"]
+    finally:
+        for client in clients:
+            client.close()
+
+
+def test_a_client_whose_place_was_given_away_is_told_so(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop, path = bench
+    become = other_processes(monkeypatch)
+    become(7)
+    client = connect(path)
+    updates = client.watch(0.05)
+    loop.send_status()
+    assert next(updates).state == "ready"
+    others = [RawClient(path) for _ in range(MAX_CONNECTIONS - 2)]
+    try:
+        assert all("protocol" in other.read() for other in others)
+        become(8)
+        with connect(path) as one, connect(path) as two:
+            assert one.stop() == two.stop() == "done"
+            with pytest.raises(OperationError, match="idle for longest"):
+                client.stop()
+            with pytest.raises(RequestRefusedError, match="idle for longest"):
+                list(updates)
+    finally:
+        for other in (client, *others):
+            other.close()
+
+
 def test_a_client_that_leaves_makes_room_for_another(bench: Bench) -> None:
     for _ in range(3 * MAX_CONNECTIONS):
         with connect(bench[1]) as client:
@@ -293,6 +350,20 @@ def test_a_user_other_than_owner_and_root_is_refused(tmp_path: Path, monkeypatch
     monkeypatch.setattr(server, "_CREDENTIALS", _Credentials((1, 4_000_000, 0)))
     with served(tmp_path) as (_, path), pytest.raises(OperationError, match="user uid 4000000 may not"):
         connect(path)
+
+
+def test_the_name_of_a_program_cannot_forge_who_asked(bench: Bench) -> None:
+    loop, path = bench
+    own = Path(f"/proc/{os.getpid()}/comm")
+    before = own.read_text().rstrip("\n")
+    own.write_text("a), b: \x1b[2J\nc")
+    try:
+        with connect(path) as client:
+            client.arm()
+    finally:
+        own.write_text(before)
+    (asked,) = loop.asked
+    assert f" (a?? b? ?[2J?c, process {os.getpid()})" in asked.asked_by
 
 
 class _Credentials:
