@@ -24,6 +24,7 @@ from hil.core.controller_change import PreparedController, prepare_controller
 from hil.core.errors import DocumentError, HilError, SetpointError
 from hil.core.operator_requests import Prepared
 from hil.core.output import LogThrottle, Severity
+from hil.core.printable import printable
 from hil.core.requests import ControllerRequest, SetpointRequest
 from hil.core.rig import read_rig
 from hil.core.setpoint_change import PreparedSetpoint, prepare_setpoint
@@ -283,7 +284,7 @@ class Server:
     def _log_refusal(self, asked_by: str, reason: str) -> None:
         """Give the loop a log entry about a request that it never saw."""
         if self._throttle.should_report("refusal"):
-            text = f"{asked_by}: request refused: {reason}"
+            text = printable(f"{asked_by}: request refused: {reason}")
             line = LogLine(time.time_ns(), int(Severity.WARNING), "operator", text)
             with contextlib.suppress(OSError):
                 self._pipe.send(msgspec.msgpack.encode(Logged(line)))
@@ -346,5 +347,5 @@ def _program(pid: int) -> str:
     """Return the name that a program has given itself, without characters that could act on a terminal."""
     with contextlib.suppress(OSError):
         name = Path(f"/proc/{pid}/comm").read_text(errors="replace").rstrip("\n")
-        return "".join(c if c.isprintable() and c not in "(),:" else "?" for c in name)
+        return "".join("?" if c in "(),:" else c for c in printable(name))
     return "unknown program"

@@ -18,6 +18,7 @@ from typing import Any
 import msgspec
 
 from hil.core.life_cycle import Trigger
+from hil.core.printable import printable
 from hil.core.requests import ArmRequest, ControllerRequest, JogRequest, Request, SetpointRequest
 
 _KINDS: dict[str, type[ArmRequest | SetpointRequest | ControllerRequest | JogRequest]] = {
@@ -61,7 +62,11 @@ def read_request(text: str) -> tuple[Request, str]:
 
 
 def describe_request(request: Request) -> str:
-    """Return a request in words, as the log shows it."""
+    """Return a request in words for the log. What its author has written cannot act on a terminal."""
+    return printable(_in_words(request))
+
+
+def _in_words(request: Request) -> str:
     match request:
         case SetpointRequest(axis, setpoint, _):
             return f"setpoint of {axis}: {setpoint}"

@@ -85,3 +85,7 @@ def test_requests_in_words() -> None:
     assert describe_request(SetpointRequest("a", "0.1")) == "setpoint of a: 0.1"
     assert describe_request(ControllerRequest("a", "ppid", "{}")) == "controller of a: ppid"
     assert describe_request(JogRequest("a", -0.5, 0.2)) == "jog a by -0.5 V for 0.2 s"
+
+
+def test_a_request_in_words_cannot_act_on_a_terminal() -> None:
+    assert describe_request(SetpointRequest("a\x1b[2J", "0.1\nb")) == "setpoint of a?[2J: 0.1?b"
