@@ -150,12 +150,15 @@ def _jog(client: Client, options: argparse.Namespace) -> str:
     except ValueError:
         raise DocumentError(f"{options.move}: {text!r} is not a number of volts") from None
     before = _axis_status(client, axis)
-    end_s = time.monotonic() + options.duration_s
+    sent_s = time.monotonic()
+    end_s = sent_s + options.duration_s
     left_s = options.duration_s
     while left_s > JOG_SPAN_S:
         client.jog(axis, offset_v, JOG_SPAN_S)
         time.sleep(JOG_REPEAT_S)
-        left_s = end_s - time.monotonic()
+        before_s, sent_s = sent_s, time.monotonic()
+        _refuse_to_jog_on(sent_s - before_s)
+        left_s = end_s - sent_s
     last_s = max(left_s, MIN_JOG_S)
     client.jog(axis, offset_v, last_s)
     # The jog ends by time, and a status may be STATUS_S old.
@@ -164,6 +167,17 @@ def _jog(client: Client, options: argparse.Namespace) -> str:
     while (now := _status(client)) is not None and now.state == "running" and time.monotonic() < end_s:
         time.sleep(STATUS_S)
     return _describe_jog(axis, before, now)
+
+
+def _refuse_to_jog_on(pause_s: float) -> None:
+    """Raise OperationError if the axis has stopped, because this command did not run for ``pause_s``.
+
+    A further part of the jog would move the axis again, perhaps long after anybody looked at it.
+    """
+    if pause_s > JOG_SPAN_S:
+        raise OperationError(
+            f"this command was paused for {pause_s:.1f} s and the axis has stopped; jog again to go on"
+        )
 
 
 def _describe_jog(name: str, before: AxisStatus | None, now: Status | None) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from support.operation_bench import MadeUpLoop, served, status
 
-from hil.cli import OPERATION, command_module, main
+from hil.cli import OPERATION, command_module, main, operate
 from hil.cli.operate import duration
 from hil.cli.status import show_json, show_live, show_text, status_lines
 from hil.operation.pipe import Replied
@@ -149,6 +149,31 @@ def test_a_long_jog_is_repeated_in_parts(bench: Bench) -> None:
     durations = [asked.call.duration_s for asked in loop.asked if isinstance(asked.call, JogCall)]
     assert len(durations) >= 2
     assert max(durations) <= 0.3
+
+
+class PausedTime:
+    """A clock that sleeping advances. The third sleep lasts for an hour, because the process is stopped."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.sleeps = 0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, duration_s: float) -> None:
+        self.sleeps += 1
+        self.now_s += 3600.0 if self.sleeps == 3 else duration_s
+
+
+def test_a_jog_that_was_paused_does_not_begin_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, at = bench
+    monkeypatch.setattr(operate, "time", PausedTime())
+    assert main(["jog", "vertical=0.5", "--for", "9s", *at]) == 1
+    assert "paused for 3600.0 s and the axis has stopped" in capsys.readouterr().err
+    assert sum(isinstance(asked.call, JogCall) for asked in loop.asked) == 3
 
 
 def test_an_event_is_checked_by_the_daemon(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
