@@ -32,7 +32,8 @@ EPILOG = """\
 structures:
   OE(nb,nf,nk)        output error, the paper's choice (default OE(1,3,1))
   ARX(na,nb,nk)  ARMAX(na,nb,nc,nk)  BJ(nb,nc,nd,nf,nk)   prediction error
-  continuous(real=1,pairs=1,zeros=0,max_dead_time_s=0.05)   poles, zeros, gain and dead time in s
+  continuous(real=1,pairs=1,zeros=0,max_dead_time_s=0.05)
+                      poles, zeros, gain, and dead time in s
 
 Records: recordings of `hil collect` or `hil run` (.mcap), or tables (.csv, .mat, .parquet) with the columns
 time_s,u,y. A missing row or an empty cell is a gap.

@@ -33,7 +33,7 @@ measurement and its repetition. --conditions names a file with others:
   [[condition]]
   name = "loaded"
   instruction = "Put 3 kg on the gripper, and set the supply to 400 kPa."
-  events = ["payload:3@0", "supply-pressure:400@0"]       # the simulated arm only
+  events = ["payload:3@0", "supply-pressure:400@0"]   # the simulated arm only
 """
 
 

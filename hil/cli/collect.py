@@ -51,11 +51,16 @@ are. Exit status: 0 if the whole excitation was given and recorded, 1 if not, 2 
 wrong, 130 if it was interrupted: then the recording is incomplete."""
 EPILOG = """\
 excitations, with the options that belong to each:
-  prbs       --amplitude --duration --clock --levels --seed   pseudo-random sequence of 2, 3, 5 or 7 levels
-  multisine  --amplitude --duration --band --repetitions --phases --seed   sines on all lines of a band
-  chirp      --amplitude --duration --band --sweep            a sine that sweeps over a band once
-  steps      --amplitude --duration --hold                    +amplitude, 0, -amplitude, 0, and again
-  csv:FILE   columns time_s,value                             each value held until the next row
+  prbs       pseudo-random sequence of 2, 3, 5 or 7 levels
+             --amplitude --duration --clock --levels --seed
+  multisine  sines on all lines of a band
+             --amplitude --duration --band --repetitions --phases --seed
+  chirp      a sine that sweeps over a band once
+             --amplitude --duration --band --sweep
+  steps      +amplitude, 0, -amplitude, 0, and again
+             --amplitude --duration --hold
+  csv:FILE   columns time_s,value; each value is held until the next row
+
 Amplitudes are in V about the valve's centre, or in the axis' unit with --excite setpoint.
 
 A position beyond the travel fence (rig file: fence_min_y, fence_max_y) takes the axis back under its

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import textwrap
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -13,6 +14,8 @@ from hil.host.command_parser import CommandParser
 from hil.host.doctor import Check, CheckVerdict, doctor
 from hil.shells.preflight import preflight
 
+COMMANDS = ("sudo ", "echo ", "ls ")
+"""Beginnings of commands in an advice."""
 _STYLES = {
     CheckVerdict.GOOD: "green",
     CheckVerdict.FAIR: "yellow",
@@ -73,4 +76,18 @@ def print_checks(checks: Sequence[Check]) -> None:
     for check in checks:
         if check.advice:  # outside the table, so that a command to copy stays on one line
             console.print(Text(f"\n{check.name}:", style=_STYLES[check.verdict]))
-            console.print(Text(f"  {check.advice}"), soft_wrap=True)
+            for line in advice_lines(check.advice, console.width):
+                console.print(Text(line), soft_wrap=True)
+
+
+def advice_lines(advice: str, width: int) -> list[str]:
+    """Return the lines of an advice. Prose is filled to ``width``; a command to copy stays on its line."""
+    lines = []
+    for line in advice.splitlines():
+        if any(command in line for command in COMMANDS):
+            lines.append(f"  {line}")
+        else:
+            lines += textwrap.wrap(
+                line, width, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False
+            )
+    return lines

@@ -23,8 +23,8 @@ def parser() -> CommandParser:
     """Return the parser of the arguments of ``hil export``."""
     command = CommandParser(
         prog="hil export",
-        usage="hil export FILE --to FORMAT [-o FILE] [--axis NAME …] [--from S] [--to S] [--resample S] "
-        "[--force]",
+        usage="hil export FILE --to FORMAT [-o FILE] [--axis NAME …] [--from S] [--to S]\n"
+        "                  [--resample S] [--force]",
         description="Write the signals of a recording (csv, parquet, mat, mf4) or its CAN frames (candump, "
         "asc, blf, and mf4-bus, an MF4 bus log) to a file. Signals have one row for each period, at the "
         "recorded instants, and their units in names or metadata. The file appears when it is whole, and no "

@@ -14,8 +14,9 @@ from hil.shells.controller_comparison import Comparison, compare
 from hil.shells.run_setup import load_controller
 
 OPEN_LOOP = (
-    "open loop: the measurements are the recorded ones. With the other controller the arm would have moved\n"
-    "otherwise, so this shows how the controllers differ in what they answer, not how the arm would follow."
+    "open loop: the measurements are the recorded ones. With the other controller,\n"
+    "the arm would have moved otherwise. So this shows how the answers of the\n"
+    "controllers differ, not how the arm would follow."
 )
 
 

@@ -49,7 +49,7 @@ def socketcan() -> Iterator[Check]:
         socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
         advice = (
-            "sudo modprobe can-raw (some systems have it in a package of its own, such as "
+            "sudo modprobe can-raw\n(some systems have it in a package of its own, such as "
             "linux-modules-extra-$(uname -r))"
         )
         yield check("SocketCAN", f"not in this kernel ({error.strerror})", advice)
