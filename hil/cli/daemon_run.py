@@ -42,6 +42,7 @@ from hil.shells.operator_port import Described, OperatorPort
 from hil.shells.preflight import missing_rights
 from hil.shells.realtime import run
 from hil.shells.recordings import Recordings, RotationLimits
+from hil.shells.rehearsal import polling_of
 from hil.shells.run_plan import Ending, OperatorPlan
 from hil.shells.run_setup import RIG_NAME, RunSetup
 from hil.shells.session import Observer, Session
@@ -79,7 +80,8 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         facts = Facts(__version__, bus, setup.texts[RIG_NAME], None if events is None else EVENT_CHECK)
         pipe = stack.enter_context(socket_process(listener, facts))
         plan = OperatorPlan()
-        with real_time_rights(setup.rig.loop.poll_before_deadline_s) as rights:
+        loop = setup.rig.loop
+        with real_time_rights(loop.poll_before_deadline_s, loop.poll_for_sample_s) as rights:
             port = OperatorPort(
                 pipe,
                 _described(setup, bus, epoch_offset_ns),
@@ -113,7 +115,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 session.note(LogEntry(Severity.WARNING, "live", feed_warning))
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
-            error = run(session, link, stop, port.serve, rights.poll_ns)
+            error = run(session, link, stop, port.serve, polling_of(rights, setup))
         notifier.send("STOPPING=1")
         metadata = {"rights": rights.as_metadata(), "ending": _ending(session, link)}
         if error is not None:

@@ -46,6 +46,7 @@ def run_realtime(
     from hil.shells.observers import Observers
     from hil.shells.preflight import missing_rights
     from hil.shells.realtime import run
+    from hil.shells.rehearsal import polling_of
     from hil.views.live_display import LiveDisplay
 
     if bus == SIMULATED:
@@ -72,7 +73,8 @@ def run_realtime(
         observer: Observer = display
         if feed is not None:
             observer = Observers(display, feed)
-        with real_time_rights(setup.rig.loop.poll_before_deadline_s) as rights:
+        loop = setup.rig.loop
+        with real_time_rights(loop.poll_before_deadline_s, loop.poll_for_sample_s) as rights:
             most_refused = setup.rig.adc.stale_after_periods
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             session = Session(
@@ -88,7 +90,7 @@ def run_realtime(
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
             _announce(session, setup, plan.duration_s, planned)
-            error = run(session, link, stop_request, poll_ns=rights.poll_ns)
+            error = run(session, link, stop_request, polling=polling_of(rights, setup))
         ending = _ending(plan, gateway) | {
             "frames dropped by the kernel": dropped_by_kernel(link),
             "frames unreadable": str(link.unreadable),

@@ -126,6 +126,11 @@ class Gateway:
         return self._clock.next_deadline_ns
 
     @property
+    def awaits_sample(self) -> bool:
+        """True if a sample of the present period would be answered with a command of the controllers."""
+        return not self._has_sample and self._state.current is LifeCycleState.RUNNING
+
+    @property
     def missed_periods(self) -> int:
         """Number of periods that were skipped or sent no SYNC because ``on_deadline`` was called too late."""
         return self._clock.missed_periods

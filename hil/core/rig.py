@@ -37,6 +37,10 @@ POLL_BEFORE_DEADLINE_S = 0.0002
 """Default time of polling before a deadline, in seconds. Most wake-ups with SCHED_FIFO are late by less."""
 MAX_POLL_S = 0.0005
 """Longest time for which the loop may poll before a deadline, in seconds: half of the shortest period."""
+POLL_FOR_SAMPLE_S = 0.001
+"""Default time of polling for the answer to SYNC, in seconds. The boards on a CAN bus answer earlier."""
+MAX_POLL_FOR_SAMPLE_S = 0.005
+"""Longest time for which the loop may poll for the answer to SYNC, in seconds."""
 CHANNELS = 3
 """Analogue channels of each board."""
 
@@ -59,6 +63,12 @@ class LoopSettings(Document, frozen=True):
     """Time in seconds for which the loop polls before each deadline instead of sleeping; 0 turns it off.
 
     It then wakes up by so much earlier. The loop polls only with SCHED_FIFO and more than one processor.
+    """
+
+    poll_for_sample_s: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_POLL_FOR_SAMPLE_S)] = POLL_FOR_SAMPLE_S
+    """Longest time in seconds for which the loop polls after SYNC in state running; 0 turns it off.
+
+    After a quarter of the period the loop sleeps in any case.
     """
 
     required_rights: list[Right] | None = None

@@ -1,9 +1,9 @@
 """Request the real-time rights for the calling thread, report what was granted, and restore everything.
 
 The rights are SCHED_FIFO, locked memory, a fixed processor, no timer slack, no deep processor sleep, a
-garbage collector that is frozen and off, and polling before each deadline. Linux refuses real-time priority
-to most sessions. A refusal is no error, but it is reported, so that a loop without a right does not look like
-a loop that has it. ``hil doctor`` says how to obtain a refused right.
+garbage collector that is frozen and off, and polling before each deadline and for each sample. Linux refuses
+real-time priority to most sessions. A refusal is no error, but it is reported, so that a loop without a right
+does not look like a loop that has it. ``hil doctor`` says how to obtain a refused right.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _PR_GET_TIMERSLACK: Final = 30  # linux: linux/prctl.h
 _CAP_IPC_LOCK: Final = 14  # linux: linux/capability.h
 NEEDS_FIFO: Final = "not useful without SCHED_FIFO"
 """Detail of a right that is not asked for because SCHED_FIFO was refused."""
-POLLING_IS_OFF: Final = "turned off (rig: loop.poll_before_deadline_s)"
+POLLING_IS_OFF: Final = "turned off (rig: loop.poll_before_deadline_s, loop.poll_for_sample_s)"
 """Detail of the right to poll if the rig file does not want it."""
 _MIN_RTTIME_US: Final = 200_000
 """Smallest limit RLIMIT_RTTIME under which the loop takes SCHED_FIFO.
@@ -55,6 +55,8 @@ class Rights(tuple[Right, ...]):
 
     poll_ns: int = 0
     """Time before each deadline in which the loop may poll instead of sleeping, in nanoseconds."""
+    sample_poll_ns: int = 0
+    """Time after SYNC in which the loop may poll for the sample instead of sleeping, in nanoseconds."""
 
     def __str__(self) -> str:
         """Return one line: what was refused and why, and what was granted. The metadata has all details."""
@@ -74,18 +76,21 @@ class Rights(tuple[Right, ...]):
 
 
 @contextlib.contextmanager
-def real_time_rights(poll_before_deadline_s: float = 0.0) -> Iterator[Rights]:
+def real_time_rights(poll_before_deadline_s: float = 0.0, poll_for_sample_s: float = 0.0) -> Iterator[Rights]:
     """Request every right for the calling thread, and restore the former state at the end.
 
-    ``poll_before_deadline_s`` is the time for which the loop wants to poll before each deadline, in seconds;
-    0 means not at all. A refusal raises no error.
+    The arguments are the times in seconds for which the loop wants to poll before each deadline, and after
+    each SYNC; 0 means not at all. A refusal raises no error.
     """
     processors = len(os.sched_getaffinity(0))
     with contextlib.ExitStack() as restore:
         granted = [_request(name, request, restore) for name, request in _REQUESTS.items()]
-        polling = _request("polling", partial(_allow_polling, poll_before_deadline_s, processors), restore)
+        allow = partial(_allow_polling, poll_before_deadline_s, poll_for_sample_s, processors)
+        polling = _request("polling", allow, restore)
         rights = Rights([*granted, polling])
-        rights.poll_ns = round(poll_before_deadline_s * 1e9) if polling.is_granted else 0
+        if polling.is_granted:
+            rights.poll_ns = round(poll_before_deadline_s * 1e9)
+            rights.sample_poll_ns = round(poll_for_sample_s * 1e9)
         yield rights
 
 
@@ -158,19 +163,22 @@ def _take_processor(restore: contextlib.ExitStack) -> str:
     return f"number {chosen} of {len(before)}"
 
 
-def _allow_polling(wanted_s: float, processors: int, _restore: contextlib.ExitStack) -> str:
+def _allow_polling(
+    before_deadline_s: float, for_sample_s: float, processors: int, _restore: contextlib.ExitStack
+) -> str:
     """Allow polling if it gains something and leaves a processor to other threads.
 
     Without SCHED_FIFO, another thread may run at the deadline all the same. On a single processor, polling
     would take time from the boards, the recorder and the kernel.
     """
-    if wanted_s <= 0:
+    if before_deadline_s <= 0 and for_sample_s <= 0:
         raise OSError(0, POLLING_IS_OFF)
     if not _is_fifo():
         raise OSError(0, NEEDS_FIFO)
     if processors < 2:
         raise OSError(0, "needs more than one processor")
-    return f"{1e6 * wanted_s:g} us before each deadline"
+    before, after = f"{1e6 * before_deadline_s:g} us before each deadline", f"{1e6 * for_sample_s:g} us"
+    return f"{before}, up to {after} for each sample" if for_sample_s > 0 else before
 
 
 def _is_fifo() -> bool:

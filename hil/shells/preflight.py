@@ -56,7 +56,7 @@ def preflight(rig_path: Path | None, bus: str | None = None) -> list[Check]:
     channel = bus or setup.rig.bus.channel
     checks = [*_files(setup), *_protection(setup.rig, is_real(channel)), *bus_of_rig(channel)]
     machine = (
-        *rights_and_wake_ups(setup.rig.loop.poll_before_deadline_s),
+        *rights_and_wake_ups(setup.rig.loop.poll_before_deadline_s, setup.rig.loop.poll_for_sample_s),
         *limits(),
         *clock(),
         *processors(),

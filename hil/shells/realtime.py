@@ -5,8 +5,8 @@ late deadline is served, so that the answer to the last SYNC is not taken for an
 However a run ends, the valves are centred, as long as anything can still be sent.
 
 The kernel wakes a thread some 20 to 200 us after the time that was asked for. The loop can therefore wake up
-shortly before a deadline, and then poll the link and the clock until the deadline (``poll_ns``). Frames that
-arrive meanwhile are served at once.
+shortly before a deadline, and then poll the link and the clock until the deadline (:class:`Polling`). Frames
+that arrive meanwhile are served at once. After SYNC, the loop can poll for the sample that answers it.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from time import monotonic_ns, sleep
+from typing import NamedTuple
 
 from hil.core.errors import LinkError
 from hil.core.output import LogEntry, Severity
@@ -27,8 +28,30 @@ OPERATORS_TURN_NS = 4_000_000
 """Time before each deadline at which operators are served once more. Loops with a shorter period omit it."""
 PUNCTUAL_NS = 20_000
 """Lateness up to which frames are not read again before a deadline, because polling has just read them."""
+REHEARSAL_NS = 200_000
+"""Time for a rehearsal. It begins so much before the polling; a wake-up that is later omits it."""
+MAX_SAMPLE_POLL_SHARE = 4
+"""The loop polls for a sample during at most one such part of the time until the next deadline."""
 CENTRING_TIMEOUT_NS = 1_000_000_000
 """Time for which centring is tried after a failure. Then the board's watchdog has centred the valves."""
+
+
+class Polling(NamedTuple):
+    """Times in which the loop polls instead of sleeping, in nanoseconds. 0 means that it sleeps."""
+
+    before_deadline_ns: int = 0
+    for_sample_ns: int = 0
+    """Longest time after SYNC, in state running."""
+    rehearse: Callable[[], None] | None = None
+    """Called before each deadline, to fill the processor's caches. It must neither wait nor fail."""
+
+    @property
+    def lead_ns(self) -> int:
+        """Time before a deadline at which the loop must be awake."""
+        return self.before_deadline_ns + (REHEARSAL_NS if self.rehearse is not None else 0)
+
+
+NO_POLLING = Polling()
 
 
 def run(
@@ -36,13 +59,12 @@ def run(
     link: Link,
     stop: StopRequest,
     serve_operators: Callable[[Session], None] | None = None,
-    poll_ns: int = 0,
+    polling: Polling = NO_POLLING,
 ) -> Exception | None:
     """Run until the session's plan is over, the link fails, or an internal error occurs.
 
     ``serve_operators`` is called after each frame and each deadline that was served, and
     ``OPERATORS_TURN_NS`` before each deadline. It must not wait.
-    In the last ``poll_ns`` before each deadline, the loop does not sleep. 0 means that it always sleeps.
 
     Returns the internal error, for a report, or None. It is a defect of this program or of a library.
     """
@@ -50,7 +72,7 @@ def run(
     while not session.plan.is_over:
         try:
             if serve_operators is None or not _await_operators_turn(session, link):
-                _step(session, link, poll_ns)
+                _step(session, link, polling)
             unreadable.report()
             if serve_operators is not None:
                 serve_operators(session)
@@ -94,13 +116,15 @@ def _await_operators_turn(session: Session, link: Link) -> bool:
     return True
 
 
-def _step(session: Session, link: Link, poll_ns: int) -> None:
+def _step(session: Session, link: Link, polling: Polling) -> None:
     """Take one frame that arrives before the next deadline, or serve the deadline."""
     deadline_ns = session.gateway.next_deadline_ns
     remaining_ns = deadline_ns - monotonic_ns()
     # After the timeout, polling begins at once: a way through the caller would take 50 us with cold caches.
-    if remaining_ns > poll_ns and _receive(session, link, (remaining_ns - poll_ns) * 1e-9):
+    if remaining_ns > polling.lead_ns and _receive(session, link, (remaining_ns - polling.lead_ns) * 1e-9):
         return
+    if polling.rehearse is not None and deadline_ns - monotonic_ns() > polling.before_deadline_ns:
+        polling.rehearse()
     now_ns = _poll(session, link, deadline_ns)
     if now_ns - deadline_ns > PUNCTUAL_NS:
         for _ in range(MAX_WAITING_FRAMES):
@@ -108,6 +132,16 @@ def _step(session: Session, link: Link, poll_ns: int) -> None:
                 break
         now_ns = monotonic_ns()
     session.on_deadline(now_ns)
+    if polling.for_sample_ns > 0:
+        _poll_for_sample(session, link, now_ns, polling.for_sample_ns)
+
+
+def _poll_for_sample(session: Session, link: Link, sync_ns: int, for_sample_ns: int) -> None:
+    """Serve frames without sleeping until the sample has been answered, or for a limited time."""
+    gateway = session.gateway
+    end_ns = sync_ns + min(for_sample_ns, (gateway.next_deadline_ns - sync_ns) // MAX_SAMPLE_POLL_SHARE)
+    while gateway.awaits_sample and monotonic_ns() < end_ns:
+        _receive(session, link, 0.0)
 
 
 def _poll(session: Session, link: Link, deadline_ns: int) -> int:

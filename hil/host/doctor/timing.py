@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from select import select
 from typing import Final
 
-from hil.core.rig import POLL_BEFORE_DEADLINE_S
+from hil.core.rig import POLL_BEFORE_DEADLINE_S, POLL_FOR_SAMPLE_S
 from hil.host.doctor import kernel_files
 from hil.host.doctor.check import Check, check
 from hil.host.doctor.kernel_files import read_line
@@ -43,12 +43,14 @@ _CONTAINER_ADVICE: Final = {
 """Advice for root, who has these rights everywhere except in a container that was started without them."""
 
 
-def rights_and_wake_ups(poll_before_deadline_s: float = POLL_BEFORE_DEADLINE_S) -> Iterator[Check]:
+def rights_and_wake_ups(
+    poll_before_deadline_s: float = POLL_BEFORE_DEADLINE_S, poll_for_sample_s: float = POLL_FOR_SAMPLE_S
+) -> Iterator[Check]:
     """Take the real-time rights as a run does, and measure with them how late this thread wakes up.
 
-    ``poll_before_deadline_s`` is that of the rig file, in seconds.
+    The arguments are the times of polling in the rig file, in seconds.
     """
-    with real_time_rights(poll_before_deadline_s) as rights:
+    with real_time_rights(poll_before_deadline_s, poll_for_sample_s) as rights:
         lateness_ns = wake_up_lateness_ns(rights.poll_ns)
     for right in rights:
         yield check(right.name, right.detail, "" if right.is_granted else rights_advice(right))

@@ -49,7 +49,7 @@ class DaemonThread:
 
 @pytest.fixture(autouse=True)
 def without_rights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(daemon_run, "real_time_rights", lambda _s: contextlib.nullcontext(Rights(())))
+    monkeypatch.setattr(daemon_run, "real_time_rights", lambda *_s: contextlib.nullcontext(Rights(())))
     monkeypatch.chdir(tmp_path)
 
 

@@ -274,7 +274,7 @@ TABLES = "Valid keys: loop, gateway, adc, dac, axes, bus, emergency_stop, enable
             "[loop]",
             "[loop]\nperiod = 1",
             "loop: unknown key period; did you mean period_s? Valid keys: period_s, poll_before_deadline_s, "
-            "required_rights",
+            "poll_for_sample_s, required_rights",
         ),
         ("[loop]", "[lop]\n[loop]", f"unknown key lop; did you mean loop? {TABLES}"),
         (

@@ -121,12 +121,19 @@ class TestPolling:
     def test_it_is_granted_with_priority_and_a_second_processor(self) -> None:
         with real_time_rights(0.00015) as rights:
             assert rights.as_metadata()["polling"] == "granted: 150 us before each deadline"
-            assert rights.poll_ns == 150_000
+            assert (rights.poll_ns, rights.sample_poll_ns) == (150_000, 0)
+
+    @pytest.mark.usefixtures("scheduler")
+    def test_the_time_for_a_sample_is_granted_and_reported_too(self) -> None:
+        with real_time_rights(0.00015, 0.001) as rights:
+            expected = "granted: 150 us before each deadline, up to 1000 us for each sample"
+            assert rights.as_metadata()["polling"] == expected
+            assert (rights.poll_ns, rights.sample_poll_ns) == (150_000, 1_000_000)
 
     @pytest.mark.usefixtures("scheduler")
     def test_the_rig_file_turns_it_off(self) -> None:
         with real_time_rights(0.0) as rights:
-            reason = "turned off (rig: loop.poll_before_deadline_s)"
+            reason = "turned off (rig: loop.poll_before_deadline_s, loop.poll_for_sample_s)"
             assert rights.as_metadata()["polling"] == f"refused: {reason}"
             assert rights.poll_ns == 0
 

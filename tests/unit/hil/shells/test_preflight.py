@@ -31,8 +31,8 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """A machine without SCHED_FIFO, with can0. Returns the polling times that were asked for."""
     asked: list[float] = []
 
-    def rights(poll_s: float) -> list[Check]:
-        asked.append(poll_s)
+    def rights(*poll_s: float) -> list[Check]:
+        asked.extend(poll_s)
         return [check("SCHED_FIFO", "Operation not permitted", "add rtprio"), check("timer slack", "1 ns")]
 
     monkeypatch.setattr(module, "rights_and_wake_ups", rights)
@@ -61,7 +61,7 @@ class TestPreflight:
         assert check_named(checks, "controller vertical").found.endswith("11.2 ms; setpoint step:0.1@1")
         assert check_named(checks, "bus").found == "sim: simulated boards on this machine"
         assert "emergency_stop" not in names
-        assert machine == [0.0002]
+        assert machine == [0.0002, 0.001]
 
     @pytest.mark.usefixtures("machine")
     def test_a_real_bus_demands_rights_and_advises_buttons(self, rig_file: Path) -> None:

@@ -28,6 +28,7 @@ from hil.recording.entries import DeadlineCalled, FrameReceived, FrameRefused, F
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder, RunHeader
 from hil.shells import realtime
+from hil.shells.realtime import NO_POLLING, REHEARSAL_NS, Polling
 from hil.shells.replay import verify
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
 from hil.shells.run_setup import RunSetup, load_setup
@@ -155,10 +156,10 @@ class Bench:
             self.gateway, self.plan, self.link.send, clock, self._recorder, self.observer, MAX_REFUSED
         )
         self.error: Exception | None = None
-        self.poll_ns = 0
+        self.polling = NO_POLLING
 
     def run(self) -> Recording:
-        self.error = realtime.run(self.session, self.link, self.stop, poll_ns=self.poll_ns)  # type: ignore[arg-type]
+        self.error = realtime.run(self.session, self.link, self.stop, polling=self.polling)  # type: ignore[arg-type]
         assert self._recorder.close({}).failure is None
         return Recording(self.path)
 
@@ -268,7 +269,7 @@ class TestPolling:
 
     @pytest.fixture
     def polling_bench(self, bench: Bench) -> Bench:
-        bench.poll_ns = self.POLL_NS
+        bench.polling = Polling(self.POLL_NS)
         bench.clock.reading_takes_ns = self.READING_NS
         return bench
 
@@ -322,6 +323,60 @@ class TestPolling:
         assert isinstance(waited, FrameReceived)
         assert waited.frame.id == codec.TPDO1_ADC
         assert waited.now_ns <= calls[late].now_ns
+        assert verify(recording).frames_compared == polling_bench.link.sent
+
+    def test_a_rehearsal_precedes_each_deadline_and_does_not_delay_it(self, polling_bench: Bench) -> None:
+        began_ns: list[int] = []
+
+        def rehearse() -> None:
+            began_ns.append(polling_bench.clock.now_ns)
+            polling_bench.clock.now_ns += REHEARSAL_NS
+
+        polling_bench.polling = Polling(self.POLL_NS, rehearse=rehearse)
+        recording = polling_bench.run()
+        assert polling_bench.plan.ending is Ending.COMPLETED
+        assert self.lateness_ns(recording).max() <= self.READING_NS
+        deadlines_ns = recording.timing()["deadline_ns"]
+        assert len(began_ns) >= len(deadlines_ns)
+        leads_ns = deadlines_ns - np.array(began_ns)[: len(deadlines_ns)]
+        assert leads_ns.min() >= REHEARSAL_NS + self.POLL_NS - 5 * self.READING_NS
+        assert verify(recording).frames_compared == polling_bench.link.sent
+
+    def test_a_late_wake_up_omits_the_rehearsal(self, polling_bench: Bench) -> None:
+        rehearsed_after: list[int] = []
+        polling_bench.polling = Polling(
+            self.POLL_NS, rehearse=lambda: rehearsed_after.append(polling_bench.link.syncs)
+        )
+        polling_bench.link.wakes_late_ns = {50: REHEARSAL_NS + 10_000}
+        recording = polling_bench.run()
+        assert self.lateness_ns(recording).max() <= self.READING_NS
+        assert [sync for sync in range(60) if sync not in rehearsed_after] == [50]
+
+    @pytest.mark.parametrize(("answer_after_ns", "is_polled"), [(400_000, True), (1_500_000, False)])
+    def test_the_loop_polls_for_the_sample_for_a_limited_time(
+        self, polling_bench: Bench, answer_after_ns: int, is_polled: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        polling_bench.polling = Polling(for_sample_ns=1_000_000)
+        polling_bench.link.latency_ns = answer_after_ns
+        receive, slept = polling_bench.link.receive, []
+
+        def note(timeout_s: float) -> Received | None:
+            state = polling_bench.gateway.state
+            is_due = polling_bench.gateway.awaits_sample
+            received = receive(timeout_s)
+            if received is not None and received.frame.id == codec.TPDO1_ADC and is_due:
+                assert state is LifeCycleState.RUNNING
+                slept.append(timeout_s > 0)
+            return received
+
+        monkeypatch.setattr(polling_bench.link, "receive", note)
+        recording = polling_bench.run()
+        assert polling_bench.plan.ending is Ending.COMPLETED
+        assert set(slept) == {not is_polled}
+        timing = recording.timing()
+        answered_ns = (timing["receive_ns"] - timing["wake_ns"])[timing["fresh"]]
+        assert answered_ns.min() >= answer_after_ns
+        assert answered_ns.max() <= answer_after_ns + 5 * self.READING_NS
         assert verify(recording).frames_compared == polling_bench.link.sent
 
 

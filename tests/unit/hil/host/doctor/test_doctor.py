@@ -11,7 +11,7 @@ import pytest
 from support.doctor_checks import check_named
 
 from hil.cli import doctor as command
-from hil.core.rig import POLL_BEFORE_DEADLINE_S
+from hil.core.rig import POLL_BEFORE_DEADLINE_S, POLL_FOR_SAMPLE_S
 from hil.host.doctor import Check, CheckVerdict, doctor
 from hil.host.realtime_rights import real_time_rights
 
@@ -43,7 +43,7 @@ class TestThisMachine:
             assert (check.verdict is CheckVerdict.GOOD) == (not check.advice)
 
     def test_the_rights_are_those_that_the_loop_would_get(self, checks: list[Check]) -> None:
-        with real_time_rights(POLL_BEFORE_DEADLINE_S) as rights:
+        with real_time_rights(POLL_BEFORE_DEADLINE_S, POLL_FOR_SAMPLE_S) as rights:
             expected = [(right.name, right.detail) for right in rights]
         assert [(name, check_named(checks, name).found) for name, _ in expected] == expected
 
