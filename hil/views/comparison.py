@@ -20,9 +20,11 @@ _SETTINGS = (
     ("setpoints", "setpoint of {}"),
     (ARM_EVENTS, "arm event {}"),
     (FAULTS_BEGUN, "faults begun at {}"),
-    ("plant", "plant of {}"),
+    ("plant", "plant: {}"),
 )
 """Names of metadata that describe what was done in a run, and how an entry of them is named."""
+_NAMED_BEFORE = {"plant": ("events", "faults")}
+"""Entries of metadata that repeat those of other metadata."""
 
 
 @dataclass(frozen=True)
@@ -232,5 +234,5 @@ def _unequal_settings(first: Recording, second: Recording) -> Iterator[str]:
     for group, label in _SETTINGS:
         one, other = (recording.metadata.get(group, {}) for recording in (first, second))
         for name in sorted(one.keys() | other.keys()):
-            if one.get(name) != other.get(name):
-                yield f"{label.format(name)} ({one.get(name, 'none')}, {other.get(name, 'none')})"
+            if one.get(name) != other.get(name) and name not in _NAMED_BEFORE.get(group, ()):
+                yield f"{label.format(name)} ({one.get(name) or 'none'}, {other.get(name) or 'none'})"

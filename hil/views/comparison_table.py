@@ -39,7 +39,7 @@ def render(comparison: Comparison) -> RenderableType:
         lines.append(f"documents that are not equal: {', '.join(comparison.documents)}")
     if comparison.settings:
         lines.append("settings that are not equal (first, second):")
-    settings = [Padding(Text(text), (0, 0, 0, 2)) for text in comparison.settings]
+    settings = [Padding(Text(text), (0, 0, 0, 2), expand=False) for text in comparison.settings]
     missing = [Text(text) for text in _missing(comparison)]
     return Group(*(Text(line) for line in lines), *settings, table, *missing)
 
