@@ -20,9 +20,10 @@ def parser() -> CommandParser:
     command = CommandParser(
         prog="hil compare",
         description="Compare the signals of two recordings, aligned on an event: the first period under "
-        "control, or the first change of a setpoint if a run was never under control. The table has the "
-        "largest difference of each signal and where it is. Exit status: 0 if the runs were compared, 1 if a "
-        "difference exceeds a --tolerance, 2 if they cannot be compared.",
+        "control, or the first recorded period if a run was never under control. Only periods in which both "
+        "runs were under control are compared, or all if neither was. The table has the largest difference "
+        "of each signal and where it is. Exit status: 0 if the runs were compared, 1 if a difference "
+        "exceeds a --tolerance, 2 if they cannot be compared.",
     )
     command.add_argument("first", type=Path, metavar="A", help="recording of `hil run`")
     command.add_argument("second", type=Path, metavar="B", help="recording to compare it with")
@@ -61,15 +62,19 @@ def main(argv: list[str]) -> int:
     from rich.console import Console
 
     from hil.recording import open_recording
-    from hil.views.comparison import Event, compare
-    from hil.views.comparison_table import render
+    from hil.views.comparison import compare
+    from hil.views.comparison_table import MAX_WIDTH, render
+    from hil.views.comparison_windows import Event
 
     event = None if options.align is None else Event[EVENTS[options.align]]
     found = compare(open_recording(options.first), open_recording(options.second), event)
-    Console(highlight=False, soft_wrap=True, markup=False).print(render(found))
+    console = Console(highlight=False, markup=False)
+    console.print(render(found), width=min(console.width, MAX_WIDTH))
     exceeding = found.exceeding(dict(options.tolerance))
     for row in exceeding:
-        sys.stdout.write(
-            f"exceeded   {row.axis} {row.signal}: {row.largest:.6g} {row.unit} at {row.at_s:.3f} s\n"
-        )
+        figure = f"{row.largest:.6g} {row.unit} at {row.at_s:.3f} s"
+        missing = row.only_first + row.only_second
+        if missing:
+            figure = f"only one run has a value in {missing} of {found.samples} periods"
+        sys.stdout.write(f"exceeded   {row.axis} {row.signal}: {figure}\n")
     return 1 if exceeding else 0

@@ -1,36 +1,30 @@
-"""Compares two recordings signal by signal, aligned on the same event.
-
-Each sample of the first run is compared with the sample of the second run that is nearest in time, counted
-from the event. Samples without a counterpart within one period are left out, and so are those at which only
-one of both runs was under control.
-"""
+"""Compares two recordings signal by signal, aligned on the same event (``comparison_windows``)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import RecordingError
 from hil.recording.reader import Recording
-from hil.recording.tables import IntArray
-from hil.views.run_columns import AxisColumns, axis_columns
+from hil.recording.recorder import ARM_EVENTS, FAULTS_BEGUN
+from hil.views.comparison_windows import Control, Event, Instant, Pairs, control_of, event_of, pairs_of
 
 SIGNALS = {"setpoint": "", "position": "", "error": "", "command_v": "V"}
 """Signals that are compared, and their unit; empty: the unit of the axis."""
-
-
-class Event(StrEnum):
-    """Event on which two runs are aligned."""
-
-    RUNNING = "first period under control"
-    SETPOINT = "first change of a setpoint"
-    BEGIN = "first recorded period"
+_SETTINGS = (
+    ("setpoints", "setpoint of {}"),
+    (ARM_EVENTS, "arm event {}"),
+    (FAULTS_BEGUN, "faults begun at {}"),
+    ("plant", "plant: {}"),
+)
+"""Names of metadata that describe what was done in a run, and how an entry of them is named."""
+_NAMED_BEFORE = {"plant": ("events", "faults")}
+"""Entries of metadata that repeat those of other metadata."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +35,18 @@ class SignalDifference:
     signal: str
     unit: str
     rms: float
+    """Root mean square; NaN if no compared period has a value in both runs."""
     largest: float
-    """Largest magnitude; infinite where one run has no value and the other has one."""
+    """Largest magnitude; NaN if no compared period has a value in both runs."""
     at_s: float
     """Time of the largest magnitude, in seconds from the event."""
     first: float
     """Value of the first run there."""
     second: float
     """Value of the second run there."""
+    only_first: int
+    """Number of compared periods in which only the first run has a value."""
+    only_second: int
 
 
 @dataclass(frozen=True)
@@ -63,32 +61,42 @@ class Comparison:
     """Time for which the first run was under control."""
     second_controlled_s: float
     samples: int
-    """Number of samples of each axis that were compared."""
+    """Number of periods of each axis that were compared."""
     from_s: float
-    """Time of the first compared sample, in seconds from the event."""
+    """Time of the first compared period, in seconds from the event."""
     to_s: float
-    """Time of the last compared sample, in seconds from the event."""
+    """Time of the last compared period, in seconds from the event."""
     signals: tuple[SignalDifference, ...]
     only_first: tuple[str, ...]
     """Axes that only the first run has."""
     only_second: tuple[str, ...]
     documents: tuple[str, ...]
-    """Documents and setpoints that are not equal in both runs."""
+    """Documents that are not equal in both runs."""
+    settings: tuple[str, ...]
+    """Setpoints, events, faults and plants that are not equal, with the values of both runs."""
 
     def exceeding(self, tolerances: Mapping[str, float]) -> list[SignalDifference]:
-        """Return the differences over the tolerance of their signal; the key "" is for all signals."""
+        """Return the differences over the tolerance of their signal; the key "" is for all signals.
+
+        A signal exceeds every tolerance where only one of the runs has a value.
+        """
         return [
             difference
             for difference in self.signals
-            if difference.largest > tolerances.get(difference.signal, tolerances.get("", math.inf))
+            if _exceeds(difference, tolerances.get(difference.signal, tolerances.get("", math.inf)))
         ]
 
 
-def compare(first: Recording, second: Recording, event: Event | None = None) -> Comparison:
-    """Compare two recordings. None: the first event of :class:`Event` that both of them have.
+def _exceeds(difference: SignalDifference, tolerance: float) -> bool:
+    is_known = difference.only_first == difference.only_second == 0
+    return difference.largest > tolerance or (not is_known and tolerance < math.inf)
 
-    Raises RecordingError when a run has no period, or lacks ``event``, or when they have no common axis or
-    no common range of time.
+
+def compare(first: Recording, second: Recording, event: Event | None = None) -> Comparison:
+    """Compare the periods in which both runs were under control; all periods if neither ever was.
+
+    ``event`` None: the first event of :class:`Event` that both of them have. Raises RecordingError when a run
+    has no period, or lacks ``event``, or when they have no common axis or no common range of time.
     """
     common = [name for name in first.axes if name in second.axes]
     if not common:
@@ -96,108 +104,123 @@ def compare(first: Recording, second: Recording, event: Event | None = None) -> 
             f"{first.path} and {second.path} have no common axis: {', '.join(first.axes) or 'none'}; "
             f"{', '.join(second.axes) or 'none'}"
         )
-    chosen, first_ns, second_ns = _aligned(first, second, event)
-    differences: list[SignalDifference] = []
-    samples, ends, controlled = 0, (0, 0), (0.0, 0.0)
     for name in common:
-        one, other = axis_columns(first, name), axis_columns(second, name)
-        if one.unit != other.unit:
+        unit, other_unit = first.axes[name], second.axes[name]
+        if unit != other_unit:
+            raise RecordingError(f"{name} is in {unit} in {first.path}, and in {other_unit} in {second.path}")
+    chosen, events = _aligned(first, second, event)
+    controls = control_of(first), control_of(second)
+    all_periods = controls == (None, None)
+    differences: list[SignalDifference] = []
+    for name in common:
+        axis = _AxisDifference(name, first.axes[name])
+        for pairs in pairs_of(first, second, name, events, all_periods):
+            axis.add(pairs)
+        if axis.periods == 0:
+            what = "" if all_periods else " in which both were under control"
             raise RecordingError(
-                f"{name} is in {one.unit} in {first.path}, and in {other.unit} in {second.path}"
+                f"{first.path} and {second.path} have no common range of time{what}, aligned on the {chosen}"
             )
-        rows, others = _pairs(one.time_ns - first_ns, other.time_ns - second_ns)
-        is_alike = one.running[rows] == other.running[others]
-        pairs = rows[is_alike], others[is_alike]
-        if len(pairs[0]) == 0:
-            raise RecordingError(
-                f"{first.path} and {second.path} have no common range of time, aligned on the {chosen}"
-            )
-        since_ns = one.time_ns[pairs[0]] - first_ns
-        samples, ends = len(since_ns), (int(since_ns[0]), int(since_ns[-1]))
-        controlled = _controlled_s(one), _controlled_s(other)
-        differences += _differences(name, one, other, pairs, since_ns)
+        differences += axis.signals()
     return Comparison(
         chosen,
-        first_ns * 1e-9,
-        second_ns * 1e-9,
-        *controlled,
-        samples,
-        ends[0] * 1e-9,
-        ends[1] * 1e-9,
+        events[0].time_s,
+        events[1].time_s,
+        _controlled_s(controls[0]),
+        _controlled_s(controls[1]),
+        axis.periods,
+        axis.from_s,
+        axis.to_s,
         tuple(differences),
         tuple(name for name in first.axes if name not in common),
         tuple(name for name in second.axes if name not in common),
         tuple(_unequal_documents(first, second)),
+        tuple(_unequal_settings(first, second)),
     )
 
 
-def _aligned(first: Recording, second: Recording, event: Event | None) -> tuple[Event, int, int]:
-    """Return the event, and its instants in both runs."""
+def _aligned(
+    first: Recording, second: Recording, event: Event | None
+) -> tuple[Event, tuple[Instant, Instant]]:
+    """Return the event, and its periods in both runs."""
     for candidate in Event if event is None else (event,):
-        first_ns, second_ns = (_instant(recording, candidate) for recording in (first, second))
-        if first_ns is not None and second_ns is not None:
-            return candidate, first_ns, second_ns
-    lacking = first if event is None or _instant(first, event) is None else second
+        one, other = event_of(first, candidate), event_of(second, candidate)
+        if one is not None and other is not None:
+            return candidate, (one, other)
+    lacking = first if event_of(first, event or Event.BEGIN) is None else second
     what = "period, so there is nothing to compare" if event is None else f"{event.value}; choose another"
     raise RecordingError(f"{lacking.path}: has no {what}")
 
 
-def _instant(recording: Recording, event: Event) -> int | None:
-    """Return an event's sampling instant in ns from the first period; None if the run does not have it."""
-    found = []
-    for name in recording.axes:
-        axis = axis_columns(recording, name)
-        match event:
-            case Event.RUNNING:
-                places = np.flatnonzero(axis.running)
-            case Event.SETPOINT:
-                is_change = (np.diff(axis.setpoint) != 0.0) & axis.running[1:] & axis.running[:-1]
-                places = np.flatnonzero(is_change) + 1
-            case Event.BEGIN:
-                places = np.arange(len(axis))[:1]
-        if len(places):
-            found.append(int(axis.time_ns[places[0]]))
-    return min(found, default=None)
+def _controlled_s(control: Control | None) -> float:
+    return 0.0 if control is None else control.duration_s
 
 
-def _pairs(first_ns: IntArray, second_ns: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the rows of the first run that have a counterpart, and those of their counterparts."""
-    if len(second_ns) == 0 or len(first_ns) == 0:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    period_ns = int(np.median(np.diff(second_ns))) if len(second_ns) > 1 else 0
-    after = np.clip(np.searchsorted(second_ns, first_ns), 1, max(len(second_ns) - 1, 1))
-    after = np.minimum(after, len(second_ns) - 1)
-    before = np.maximum(after - 1, 0)
-    is_nearer = np.abs(second_ns[before] - first_ns) <= np.abs(second_ns[after] - first_ns)
-    nearest = np.where(is_nearer, before, after)
-    rows = np.flatnonzero(np.abs(second_ns[nearest] - first_ns) <= period_ns)
-    return rows, nearest[rows]
+class _AxisDifference:
+    """Collects the differences of one axis, window by window."""
+
+    def __init__(self, name: str, unit: str) -> None:
+        self._signals = {
+            signal: _SignalSums(name, signal, own_unit or unit) for signal, own_unit in SIGNALS.items()
+        }
+        self.periods = 0
+        self.from_s = self.to_s = 0.0
+
+    def add(self, pairs: Pairs) -> None:
+        """Add periods that follow on those before."""
+        if self.periods == 0:
+            self.from_s = float(pairs.since_s[0])
+        self.to_s = float(pairs.since_s[-1])
+        self.periods += len(pairs.since_s)
+        for name, sums in self._signals.items():
+            sums.add(pairs.since_s, getattr(pairs.first, name), getattr(pairs.second, name))
+
+    def signals(self) -> list[SignalDifference]:
+        """Return the differences of all signals."""
+        return [sums.result() for sums in self._signals.values()]
 
 
-def _controlled_s(axis: AxisColumns) -> float:
-    running = axis.time_s[axis.running]
-    return float(running[-1] - running[0]) if len(running) else 0.0
+class _SignalSums:
+    """Collects the difference of one signal."""
 
+    def __init__(self, axis: str, signal: str, unit: str) -> None:
+        self._names = axis, signal, unit
+        self._square_sum = 0.0
+        self._count = self._only_first = self._only_second = 0
+        self._largest = self._at_s = self._first = self._second = math.nan
 
-def _differences(
-    name: str, one: AxisColumns, other: AxisColumns, pairs: tuple[IntArray, IntArray], since_ns: IntArray
-) -> Iterator[SignalDifference]:
-    for signal, unit in SIGNALS.items():
-        first: npt.NDArray[Any] = getattr(one, signal)[pairs[0]]
-        second: npt.NDArray[Any] = getattr(other, signal)[pairs[1]]
+    def add(
+        self,
+        since_s: npt.NDArray[np.float64],
+        first: npt.NDArray[np.float64],
+        second: npt.NDArray[np.float64],
+    ) -> None:
+        lacks_first, lacks_second = np.isnan(first), np.isnan(second)
+        self._only_first += int(np.count_nonzero(~lacks_first & lacks_second))
+        self._only_second += int(np.count_nonzero(lacks_first & ~lacks_second))
         difference = np.abs(first - second)
-        difference[np.isnan(first) & np.isnan(second)] = 0.0
-        difference[np.isnan(difference)] = np.inf
-        place = int(np.argmax(difference))
-        yield SignalDifference(
-            name,
-            signal,
-            unit or one.unit,
-            float(np.sqrt(np.mean(difference**2))),
-            float(difference[place]),
-            float(since_ns[place]) * 1e-9,
-            float(first[place]),
-            float(second[place]),
+        known = np.flatnonzero(~(lacks_first | lacks_second))
+        # Where neither run has a value, they do not differ.
+        self._count += len(known) + int(np.count_nonzero(lacks_first & lacks_second))
+        if len(known) == 0:
+            return
+        self._square_sum += float(np.sum(difference[known] ** 2))
+        row = int(known[np.argmax(difference[known])])
+        if not self._largest >= difference[row]:
+            self._largest, self._at_s = float(difference[row]), float(since_s[row])
+            self._first, self._second = float(first[row]), float(second[row])
+
+    def result(self) -> SignalDifference:
+        rms = math.nan if math.isnan(self._largest) else math.sqrt(self._square_sum / self._count)
+        return SignalDifference(
+            *self._names,
+            rms,
+            self._largest,
+            self._at_s,
+            self._first,
+            self._second,
+            self._only_first,
+            self._only_second,
         )
 
 
@@ -205,7 +228,11 @@ def _unequal_documents(first: Recording, second: Recording) -> Iterator[str]:
     for name in sorted(first.attachments.keys() | second.attachments.keys()):
         if first.attachments.get(name) != second.attachments.get(name):
             yield name
-    one, other = (recording.metadata.get("setpoints", {}) for recording in (first, second))
-    for name in sorted(one.keys() | other.keys()):
-        if one.get(name) != other.get(name):
-            yield f"setpoint of {name} ({one.get(name, 'none')}, {other.get(name, 'none')})"
+
+
+def _unequal_settings(first: Recording, second: Recording) -> Iterator[str]:
+    for group, label in _SETTINGS:
+        one, other = (recording.metadata.get(group, {}) for recording in (first, second))
+        for name in sorted(one.keys() | other.keys()):
+            if one.get(name) != other.get(name) and name not in _NAMED_BEFORE.get(group, ()):
+                yield f"{label.format(name)} ({one.get(name) or 'none'}, {other.get(name) or 'none'})"

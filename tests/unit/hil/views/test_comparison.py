@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -28,7 +29,9 @@ from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.recording.handover import RunHeader
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
-from hil.views.comparison import Event, SignalDifference, compare
+from hil.views import comparison_windows
+from hil.views.comparison import SignalDifference, compare
+from hil.views.comparison_windows import Event
 
 SLOW = following(step(0.1, 1.0), lag(0.1, 1.0, 0.2))
 
@@ -76,7 +79,8 @@ def test_equal_runs_that_begin_at_other_times_do_not_differ(run: Callable[..., P
         (3 * PERIOD_S, 40 * PERIOD_S)
     )
     assert {row.largest for row in comparison.signals} == {0.0}
-    assert comparison.samples == 303
+    assert comparison.samples == 300
+    assert (comparison.from_s, comparison.to_s) == pytest.approx((0.0, 299 * PERIOD_S))
     assert comparison.documents == ()
     assert comparison.first_controlled_s == pytest.approx(299 * PERIOD_S)
 
@@ -88,7 +92,7 @@ def test_the_largest_difference_and_its_place_are_found(run: Callable[..., Path]
     assert position.largest == pytest.approx(0.004)
     assert position.at_s == pytest.approx(2.0, abs=PERIOD_S / 2)
     assert position.first - position.second == pytest.approx(0.004)
-    assert position.rms == pytest.approx(0.004 / math.sqrt(303))
+    assert position.rms == pytest.approx(0.004 / math.sqrt(300))
     assert position.unit == "m"
     valve = rows["rotation", "command_v"]
     assert (valve.largest, valve.unit) == (pytest.approx(0.04), "V")
@@ -118,21 +122,100 @@ def test_runs_that_were_never_under_control_are_aligned_on_their_begin(tmp_path:
         compare(*map(Recording, paths), Event.RUNNING)
 
 
-def test_a_value_in_one_run_alone_is_an_infinite_difference(run: Callable[..., Path]) -> None:
+def test_a_value_in_one_run_alone_is_counted_and_exceeds_every_tolerance(run: Callable[..., Path]) -> None:
     nowhere = CENTRED._replace(position=math.nan)
     first = run("a.mcap", lambda t: nowhere if 1.0 < t < 1.01 else CENTRED)
     second = run("b.mcap", lambda t: CENTRED)
-    assert found(first, second)["vertical", "position"].largest == math.inf
-    assert found(first, first)["vertical", "position"].largest == 0.0
+    position = found(first, second)["vertical", "position"]
+    assert (position.only_first, position.only_second, position.largest) == (0, 1, 0.0)
+    comparison = compare(Recording(first), Recording(second))
+    assert {row.signal for row in comparison.exceeding({"position": 1e9})} == {"position"}
+    assert comparison.exceeding({}) == []
+    same = found(first, first)["vertical", "position"]
+    assert (same.only_first, same.only_second, same.largest) == (0, 0, 0.0)
+
+
+def test_a_signal_that_one_run_lacks_has_no_difference(
+    run: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An imported bus log has no setpoint."""
+    unknown = CENTRED._replace(setpoint=math.nan, error=math.nan)
+    first, second = run("a.mcap"), run("b.mcap", lambda t: unknown)
+    row = found(first, second)["vertical", "setpoint"]
+    assert math.isnan(row.largest) and math.isnan(row.rms)
+    assert (row.only_first, row.only_second) == (300, 0)
+    assert command.main([str(first), str(second)]) == 0
+    out = capsys.readouterr().out
+    assert "only the first run has vertical setpoint in 300 of 300 periods" in out
+    assert "inf" not in out and "nan" not in out
+    assert command.main([str(first), str(second), "--tolerance", "setpoint=1"]) == 1
+    assert "exceeded   vertical setpoint: only one run has a value in 300 of 300" in capsys.readouterr().out
+
+
+def record_with_lateness(path: Path, lateness_ns: Callable[[int], int], periods: int = 300) -> Path:
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    record_periods(recorder, periods, SLOW, lateness_ns=lateness_ns)
+    record_periods(recorder, 50, lambda t: CENTRED, first=periods, state=LifeCycleState.ARMED)
+    recorder.close({})
+    return path
+
+
+def test_late_wake_ups_do_not_shift_the_alignment(tmp_path: Path) -> None:
+    """The event's own period begins 0.9 periods late, and so does every seventh."""
+    late_ns = round(0.9 * PERIOD_S * 1e9)
+    first = record_with_lateness(tmp_path / "a.mcap", lambda number: 0)
+    second = record_with_lateness(tmp_path / "b.mcap", lambda number: 0 if number % 7 else late_ns)
+    for one, other in ((first, second), (second, first)):
+        comparison = compare(Recording(one), Recording(other))
+        assert comparison.samples == 300
+        assert {row.largest for row in comparison.signals} == {0.0}
+
+
+def test_periods_after_the_end_of_control_are_not_compared(tmp_path: Path) -> None:
+    first = record_with_lateness(tmp_path / "a.mcap", lambda number: 0)
+    second = record_with_lateness(tmp_path / "b.mcap", lambda number: 0, periods=200)
+    comparison = compare(Recording(first), Recording(second))
+    assert comparison.samples == 200
+    assert comparison.to_s == pytest.approx(199 * PERIOD_S)
+    assert (comparison.first_controlled_s, comparison.second_controlled_s) == pytest.approx(
+        (299 * PERIOD_S, 199 * PERIOD_S)
+    )
+
+
+def test_windows_give_the_result_of_the_whole(
+    run: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = run("a.mcap", bumped(2.0, 0.004)), run("b.mcap", armed=9)
+    for event in (None, Event.SETPOINT):
+        whole = compare(Recording(first), Recording(second), event)
+        monkeypatch.setattr(comparison_windows, "WINDOW_S", 0.3)
+        parted = compare(Recording(first), Recording(second), event)
+        monkeypatch.undo()
+        assert [row.rms for row in parted.signals] == pytest.approx([row.rms for row in whole.signals])
+        assert [replace(row, rms=0.0) for row in parted.signals] == [
+            replace(row, rms=0.0) for row in whole.signals
+        ]
+        assert (parted.samples, parted.from_s, parted.to_s) == (whole.samples, whole.from_s, whole.to_s)
 
 
 def test_what_else_differs_is_named(run: Callable[..., Path]) -> None:
     attachments = {**RUN_HEADER.attachments, "arm.dbc": ("text/plain", b"other")}
     other = msgspec.structs.replace(
-        RUN_HEADER, attachments=attachments, axes=AXES[1:], metadata={"setpoints": {"vertical": "hold"}}
+        RUN_HEADER,
+        attachments=attachments,
+        axes=AXES[1:],
+        metadata={
+            "setpoints": {"vertical": "hold"},
+            "arm events": {"payload:3": "4.0"},
+        },
     )
     comparison = compare(Recording(run("a.mcap")), Recording(run("b.mcap", header=other)))
-    assert comparison.documents == ("arm.dbc", "setpoint of vertical (step:0.1@1, hold)")
+    assert comparison.documents == ("arm.dbc",)
+    assert comparison.settings == (
+        "setpoint of vertical (step:0.1@1, hold)",
+        "arm event payload:3 (none, 4.0)",
+    )
     assert (comparison.only_first, comparison.only_second) == (("vertical",), ())
 
 
@@ -162,9 +245,9 @@ class TestCommand:
         out = capsys.readouterr().out
         assert "aligned on the first period under control: 0.034 s in the first run, 0.034 s" in out
         assert any(
-            line.split()[:4] == ["vertical", "position", "(m)", "0.00023"] for line in out.splitlines()
+            line.split()[:4] == ["vertical", "position", "(m)", "0.000231"] for line in out.splitlines()
         )
-        assert max(len(line) for line in out.splitlines()) <= 100
+        assert max(len(line) for line in out.splitlines()) <= 80
 
     @pytest.mark.parametrize(
         ("tolerances", "status"),
