@@ -211,6 +211,8 @@ class LockstepRig:
             "lost samples": str(gateway.lost_samples),
             "error frames": str(gateway.error_frames),
         }
+        if self.bus is not None:
+            ending |= self.bus.figures(self.now_ns)
         begun = self._faulty.begun_by_time()
         metadata = {"ending": ending} | ({FAULTS_BEGUN: begun} if begun else {})
         self._side.journal.save(Path(path), self._setup, metadata)

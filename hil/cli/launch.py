@@ -135,7 +135,8 @@ def run_lockstep(
             _announce(session, setup, duration_s, planned)
             lockstep.run(session, stop_request)
         begun = boards.begun_by_time() if isinstance(boards, FaultyRig) else {}
-        return recorder.close({"ending": _ending(plan, gateway)} | ({FAULTS_BEGUN: begun} if begun else {}))
+        ending = _ending(plan, gateway) | ({} if bus is None else bus.figures(lockstep.clock_ns()))
+        return recorder.close({"ending": ending} | ({FAULTS_BEGUN: begun} if begun else {}))
 
 
 def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dict[str, float]) -> None:

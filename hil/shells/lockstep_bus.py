@@ -7,7 +7,7 @@ deadline, then a frame that begins. So every frame that is sent at an instant ta
 from __future__ import annotations
 
 from hil.core.frames import Frame
-from hil.links.bus_model.rig_bus import Arrived, RigBus
+from hil.links.bus_model.rig_bus import NOTHING_ARRIVED, Arrived, RigBus
 from hil.shells.lockstep import Boards, GatewaySide, Host, Lockstep
 
 
@@ -35,12 +35,14 @@ class BusLockstep(Lockstep):
         gateway_ns = max(gateway_side.gateway.next_deadline_ns, awake_ns)
         if self._waiting:
             gateway_ns = awake_ns
-        boards_ns, bus_ns = boards.next_deadline_ns, bus.next_event_ns
-        others_ns = min(boards_ns, gateway_ns)
-        if bus_ns < others_ns or (bus_ns == others_ns and not bus.begins_next):
+        boards_ns = boards.next_deadline_ns
+        others_ns = boards_ns if boards_ns < gateway_ns else gateway_ns
+        while (bus_ns := bus.next_event_ns) < others_ns or (bus_ns == others_ns and not bus.begins_next):
             self._now_ns = bus_ns
-            self._arrive(gateway_side, bus.advance(bus_ns))
-            return False
+            arrived = bus.advance(bus_ns)
+            if arrived is not NOTHING_ARRIVED:
+                self._arrive(gateway_side, arrived)
+                return False
         if boards_ns < gateway_ns:
             self._now_ns = boards_ns
             self._deliver(gateway_side, boards.on_deadline(boards_ns))

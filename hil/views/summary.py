@@ -127,6 +127,8 @@ class Summary:
     """Time during which the controllers acted."""
     requested_s: float | None
     """Time during which the controllers were to act."""
+    bus_load: float | None = None
+    """Share of the time in which the modelled bus was in use; None if frames took no time, or a real bus."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for other programs; the keys carry the units."""
@@ -185,6 +187,7 @@ def sum_up(
         ending=ending.get("reason", ""),
         controlled_s=_span_s(controlled),
         requested_s=float(ending[REQUESTED_DURATION]) if REQUESTED_DURATION in ending else None,
+        bus_load=float(ending["bus load"]) if "bus load" in ending else None,
     )
 
 

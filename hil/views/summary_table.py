@@ -90,11 +90,12 @@ def _loop_table(summary: Summary) -> Table:
 
 def _counts(summary: Summary) -> str:
     bring_up = f" ({summary.bring_up_periods} before the boards were up)" if summary.bring_up_periods else ""
+    load = "" if summary.bus_load is None else f", bus load {100 * summary.bus_load:.1f} %"
     return (
         f"{summary.periods} periods{bring_up}, {summary.missed_periods} skipped, "
         f"{summary.periods_without_sample} without a sample\n"
         f"{_WITHOUT_SAMPLE if summary.periods_without_sample else ''}"
-        f"{summary.frames_received} frames received, {summary.frames_sent} sent"
+        f"{summary.frames_received} frames received, {summary.frames_sent} sent{load}"
     )
 
 

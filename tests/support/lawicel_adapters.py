@@ -12,11 +12,8 @@ class Adapter:
     """One adapter. ``device`` is the path of its serial line."""
 
     def __init__(self) -> None:
-        self.line, slave = os.openpty()
-        tty.setraw(slave)
-        os.set_blocking(self.line, False)
-        self.device = os.ttyname(slave)
-        self.slave = slave
+        self.line = self.slave = -1
+        self.plug_in()
         self.on_bus = False
         self.commands: list[bytes] = []
         self.refused: set[bytes] = set()
@@ -24,6 +21,14 @@ class Adapter:
         """Number of lines that stay without an answer, as while an Arduino boots."""
         self.incoming = b""
         self.outgoing: deque[bytes] = deque()
+
+    def plug_in(self) -> None:
+        """Make a serial line. A new one may have another path."""
+        self.line, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        os.set_blocking(self.line, False)
+        self.device = os.ttyname(self.slave)
+        self.on_bus = False
 
     def answer(self, line: bytes) -> bytes:
         """Return the answer that the CAN232 manual gives: CR, BELL, or z and CR. Join or leave the bus."""
@@ -72,6 +77,11 @@ class TwoAdapters:
         os.close(adapter.line)
         os.close(adapter.slave)
         adapter.line = adapter.slave = -1
+        self.resume()
+
+    def plug_in(self, adapter: Adapter) -> None:
+        self.pause()
+        adapter.plug_in()
         self.resume()
 
     def _serve(self) -> None:

@@ -1,16 +1,22 @@
 """SocketCAN passes the contract of links and reports the kernel's errors."""
 
+import contextlib
+import re
 import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.lawicel_adapters import TwoAdapters
+from can.interfaces.slcan import slcanBus
+from can.interfaces.socketcan import SocketcanBus
+from support.back_to_back import BackToBack, Ends, ManyNodes, Unplugging
+from support.lawicel_adapters import Adapter, TwoAdapters
 from support.link_contract import KINDS, ErrorFrameContract, LinkContract, Pair, arrived, overflow
 
 from hil.core.errors import LinkError
 from hil.core.frames import Frame
+from hil.core.wire.frame_bits import bits_on_wire
 from hil.links import open_link
 
 RECEIVERS = Path("/proc/net/can/rcvlist_all")
@@ -31,6 +37,16 @@ def wait_for_interface(name: str) -> None:
 
 def ip(*arguments: str) -> None:
     subprocess.run(["ip", *arguments], check=True)
+
+
+@contextlib.contextmanager
+def slcand_on(adapter: Adapter, name: str) -> Iterator[None]:
+    """Make the adapter an interface of the kernel until the block ends."""
+    slcand = subprocess.Popen(["slcand", "-F", "-o", "-c", "-s6", adapter.device, name])
+    wait_for_interface(name)
+    yield
+    slcand.terminate()
+    assert slcand.wait(timeout=5) == 0
 
 
 class TestSocketCan(LinkContract, ErrorFrameContract):
@@ -70,13 +86,97 @@ class TestKernelSlcan(LinkContract):
 
     @pytest.fixture
     def pair(self) -> Iterator[Pair]:
-        with TwoAdapters() as adapters:
-            slcand = subprocess.Popen(["slcand", "-F", "-o", "-c", "-s6", adapters.one.device, "slcan8"])
-            wait_for_interface("slcan8")
-            with open_link(f"slcan:{adapters.other.device}") as one, open_link("slcan8") as other:
+        with (
+            TwoAdapters() as adapters,
+            slcand_on(adapters.one, "slcan8"),
+            open_link(f"slcan:{adapters.other.device}") as one,
+            open_link("slcan8") as other,
+        ):
+            yield one, other
+
+
+class TestSocketCanBackToBack(BackToBack, ManyNodes):
+    @pytest.fixture
+    def spec(self) -> str:
+        return "vcan0"
+
+    @pytest.fixture
+    def ends(self) -> Iterator[Ends]:
+        with open_link("vcan0") as link, SocketcanBus("vcan0") as bus:
+            yield link, bus
+
+
+class TestKernelSlcanBackToBack(BackToBack):
+    """python-can at the serial line, the link at the kernel's interface."""
+
+    @pytest.fixture
+    def ends(self) -> Iterator[Ends]:
+        with (
+            TwoAdapters() as adapters,
+            slcand_on(adapters.one, "slcan6"),
+            slcanBus(adapters.other.device, bitrate=500_000, sleep_after_open=0) as bus,
+            open_link("slcan6") as link,
+        ):
+            while not adapters.other.on_bus:
+                bus.recv(0.01)
+            yield link, bus
+
+
+class TestInterfaceThatGoesDown(Unplugging):
+    @pytest.fixture
+    def pair(self) -> Iterator[Pair]:
+        ip("link", "add", "dev", "vcan6", "type", "vcan")
+        self.plug_in()
+        with open_link("vcan6") as one, open_link("vcan6") as other:
+            yield one, other
+        ip("link", "delete", "vcan6")
+
+    def unplug(self) -> None:
+        ip("link", "set", "vcan6", "down")
+
+    def plug_in(self) -> None:
+        ip("link", "set", "vcan6", "up")
+
+
+class TestInterfaceThatDisappears(Unplugging):
+    """As an USB adapter does."""
+
+    @pytest.fixture
+    def pair(self) -> Iterator[Pair]:
+        self.plug_in()
+        with open_link("vcan5") as one, open_link("vcan5") as other:
+            yield one, other
+        ip("link", "delete", "vcan5")
+
+    def unplug(self) -> None:
+        ip("link", "delete", "vcan5")
+
+    def plug_in(self) -> None:
+        ip("link", "add", "dev", "vcan5", "type", "vcan")
+        ip("link", "set", "vcan5", "up")
+
+
+class TestKernelSlcanUnplugged(Unplugging):
+    """The adapter is unplugged, slcand ends, and its interface disappears."""
+
+    adapters: TwoAdapters
+    slcand: contextlib.ExitStack
+
+    @pytest.fixture
+    def pair(self) -> Iterator[Pair]:
+        with TwoAdapters() as adapters, contextlib.ExitStack() as slcand:
+            type(self).adapters, type(self).slcand = adapters, slcand
+            slcand.enter_context(slcand_on(adapters.one, "slcan5"))
+            with open_link("slcan5") as one, open_link(f"slcan:{adapters.other.device}") as other:
                 yield one, other
-            slcand.terminate()
-            assert slcand.wait(timeout=5) == 0
+
+    def unplug(self) -> None:
+        self.slcand.close()
+        self.adapters.unplug(self.adapters.one)
+
+    def plug_in(self) -> None:
+        self.adapters.plug_in(self.adapters.one)
+        self.slcand.enter_context(slcand_on(self.adapters.one, "slcan5"))
 
 
 class TestInterface:
@@ -140,15 +240,37 @@ class TestInterface:
 
 
 def test_slcand_and_a_serial_link_are_two_ends_of_one_bus() -> None:
-    with TwoAdapters() as adapters:
-        slcand = subprocess.Popen(["slcand", "-F", "-o", "-c", "-s6", adapters.one.device, "slcan7"])
-        wait_for_interface("slcan7")
-        with open_link("slcan7") as one, open_link(f"slcan:{adapters.other.device}") as other:
-            for frame in KINDS:
-                one.send(frame)
-                assert arrived(other) == frame
-                other.send(frame)
-                assert arrived(one) == frame
-        slcand.terminate()
-        assert slcand.wait(timeout=5) == 0
+    with (
+        TwoAdapters() as adapters,
+        slcand_on(adapters.one, "slcan7"),
+        open_link("slcan7") as one,
+        open_link(f"slcan:{adapters.other.device}") as other,
+    ):
+        for frame in KINDS:
+            one.send(frame)
+            assert arrived(other) == frame
+            other.send(frame)
+            assert arrived(one) == frame
     assert b"S6" in adapters.one.commands
+
+
+def test_the_length_of_frames_is_that_of_canbusload() -> None:
+    """can-utils counts data bits for a remote frame that asks for data, although it carries none."""
+    frames = [frame for frame in KINDS if not frame.is_remote or not frame.data]
+    with (
+        subprocess.Popen(
+            ["canbusload", "-e", "vcan0@500000"], stdout=subprocess.PIPE, text=True
+        ) as canbusload,
+        open_link("vcan0") as link,
+    ):
+        assert canbusload.stdout is not None
+        wait_for_receivers(2)
+        for frame in frames:
+            link.send(frame)
+        total = (0, 0)
+        while total[0] < len(frames):
+            match = re.search(r"vcan0@500000 +(\d+) +(\d+)", canbusload.stdout.readline())
+            if match is not None:
+                total = (total[0] + int(match[1]), total[1] + int(match[2]))
+        canbusload.terminate()
+    assert total == (len(frames), sum(map(bits_on_wire, frames)))

@@ -27,7 +27,7 @@ class Arrived(NamedTuple):
     at_boards: tuple[Frame, ...] = ()
 
 
-_NOTHING: Final = Arrived()
+NOTHING_ARRIVED: Final = Arrived()
 
 
 class RigBus:
@@ -68,6 +68,16 @@ class RigBus:
     def busy_ns(self) -> int:
         """Time in which the bus was used so far, with intermissions and error frames."""
         return self._bus.busy_ns
+
+    def figures(self, now_ns: int) -> dict[str, str]:
+        """Return load, refused frames and error frames from the beginning until now, for a recording."""
+        load = self.busy_ns / now_ns if now_ns > 0 else 0.0
+        return {
+            "bus load": f"{load:.4f}",
+            "bit rate": str(self.bit_rate),
+            "frames not sent": str(self.gateway.refused),
+            "frames destroyed on the bus": str(self.error_frames),
+        }
 
     @property
     def disturbances(self) -> list[Disturbance]:
@@ -115,7 +125,7 @@ class RigBus:
         if changed and self.gateway in changed:
             reports = (self.gateway.report(is_restarted=not self.gateway.tec + self.gateway.rec),)
         if frame is None:
-            return Arrived(reports) if reports else _NOTHING
+            return Arrived(reports) if reports else NOTHING_ARRIVED
         if sender is self.gateway:
             return Arrived(reports, (frame,))
         is_deaf = self._unplugged or self.gateway.is_bus_off

@@ -9,6 +9,7 @@ import can
 import msgpack
 import pytest
 from can.interfaces.udp_multicast.utils import pack_message
+from support.back_to_back import BackToBack, Ends, ManyNodes
 from support.link_contract import (
     KINDS,
     STRANGE_DATAGRAM,
@@ -159,3 +160,18 @@ class TestUdp(LinkContract, ErrorFrameContract):
         pair[0].send(Frame(0x42))
         assert arrived(pair[1]) == Frame(0x42)
         assert pair[1].dropped() == 0
+
+
+class TestUdpBackToBack(BackToBack, ManyNodes):
+    @pytest.fixture
+    def port(self) -> int:
+        return free_port()
+
+    @pytest.fixture
+    def spec(self, port: int) -> str:
+        return f"udp:{port}"
+
+    @pytest.fixture
+    def ends(self, port: int) -> Iterator[Ends]:
+        with open_link(f"udp:{port}") as link, HostMulticastBus(port) as bus:
+            yield link, bus

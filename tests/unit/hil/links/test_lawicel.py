@@ -1,8 +1,11 @@
 """A serial adapter, emulated on pseudo-terminals, passes the contract of links."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from can.interfaces.slcan import slcanBus
+from support.back_to_back import BackToBack, Ends, Unplugging
 from support.lawicel_adapters import TwoAdapters
 from support.link_contract import LinkContract, Pair, arrived
 
@@ -139,3 +142,42 @@ class TestSlcan(LinkContract):
     def test_a_second_program_cannot_open_the_adapter(self, pair: Pair, adapters: TwoAdapters) -> None:
         with pytest.raises(LinkError, match="another program uses it"):
             open_link(f"slcan:{adapters.one.device}")
+
+
+class TestSlcanBackToBack(BackToBack):
+    @pytest.fixture
+    def ends(self) -> Iterator[Ends]:
+        with (
+            TwoAdapters() as adapters,
+            open_link(f"slcan:{adapters.one.device}") as link,
+            slcanBus(adapters.other.device, bitrate=500_000, sleep_after_open=0) as bus,
+        ):
+            while not adapters.other.on_bus:
+                bus.recv(0.01)
+            yield link, bus
+
+
+class TestUnpluggedAdapter(Unplugging):
+    """The adapter has a path of its own, as a rule of udev gives it one."""
+
+    adapters: TwoAdapters
+    path: Path
+
+    @pytest.fixture
+    def pair(self, tmp_path: Path) -> Iterator[Pair]:
+        with TwoAdapters() as adapters:
+            type(self).adapters, type(self).path = adapters, tmp_path / "adapter"
+            self.path.symlink_to(adapters.one.device)
+            with (
+                open_link(f"slcan:{self.path}") as one,
+                open_link(f"slcan:{adapters.other.device}") as other,
+            ):
+                yield one, other
+
+    def unplug(self) -> None:
+        self.path.unlink()
+        self.adapters.unplug(self.adapters.one)
+
+    def plug_in(self) -> None:
+        self.adapters.plug_in(self.adapters.one)
+        self.path.symlink_to(self.adapters.one.device)

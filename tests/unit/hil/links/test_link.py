@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterator
 
 import can
 import pytest
+from can.interfaces.virtual import VirtualBus
+from support.back_to_back import BackToBack, Ends, ManyNodes
 from support.link_contract import ErrorFrameContract, LinkContract, Pair
 
 from hil.core.frames import Frame
@@ -24,6 +26,17 @@ class TestInProcess(LinkContract, ErrorFrameContract):
         with open_link("inproc:a") as one, open_link("inproc:b") as other:
             one.send(Frame(1))
             assert other.receive(0) is None
+
+
+class TestInProcessBackToBack(BackToBack, ManyNodes):
+    @pytest.fixture
+    def spec(self) -> str:
+        return "inproc:many"
+
+    @pytest.fixture
+    def ends(self) -> Iterator[Ends]:
+        with open_link("inproc:back to back") as link, VirtualBus("back to back") as bus:
+            yield link, bus
 
 
 class BusyBus:

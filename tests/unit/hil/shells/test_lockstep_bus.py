@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from hil.core.errors import DocumentError
 from hil.core.frames import Frame
 from hil.core.wire.frame_bits import bits_on_wire
 from hil.lockstep_rig import LockstepRig
-from hil.recording.entries import FrameReceived, FrameRefused
+from hil.recording.entries import FrameReceived, FrameRefused, FrameSent
 from hil.recording.reader import Recording
 
 BIT_NS = 2_000
@@ -204,9 +205,15 @@ class TestCommand:
         status = main([*command, "--duration", "2", *arguments])
         return status, Recording(record)
 
-    def test_the_rig_file_chooses_the_bit_rate(self, rig_file: Path) -> None:
+    def test_the_rig_file_chooses_the_bit_rate(
+        self, rig_file: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
         status, recording = self.run(rig_file)
         assert status == 0
+        assert re.search(r"\d+ sent, bus load [567]\.\d %", capsys.readouterr().out)
+        carried = [e for e in recording.entries() if isinstance(e, FrameReceived | FrameSent)]
+        load = sum(bits_on_wire(e.frame) for e in carried) * BIT_NS / carried[-1].now_ns
+        assert float(recording.metadata["ending"]["bus load"]) == pytest.approx(load, rel=0.02)
         times = {e.now_ns % 11_200_000 for e in recording.entries() if isinstance(e, FrameReceived)}
         assert min(times) > 100_000, "frames take time"
 
