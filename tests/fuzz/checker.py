@@ -48,6 +48,13 @@ class Jog(NamedTuple):
     duration_s: float
 
 
+class Arm(NamedTuple):
+    """A request to arm with results of checks."""
+
+    may_arm: bool
+    """True if each failed check is overridden."""
+
+
 class Sent(NamedTuple):
     """A command that the bus took."""
 
@@ -70,8 +77,8 @@ class Checker:
         self._command_length = wire.length(wire.ANALOGUE_LENGTH, rig.dac_protected)
         self._centre = _centre_counts(rig.axes)
         self._motions = [Motion(axis) for axis in rig.axes]
-        self._stop = Contact(rigs.STOP_MASK, rig.inputs_protected) if rig.has_stop else None
-        self._enable = Contact(rigs.ENABLE_MASK, rig.inputs_protected) if rig.has_enable else None
+        self._stop = Contact(rigs.STOP_MASK, rig) if rig.has_stop else None
+        self._enable = Contact(rigs.ENABLE_MASK, rig) if rig.has_enable else None
         self._read_back = ReadBack(rig) if rig.read_back else None
         self._commands = [Sent(self._centre, 0, True, b"")]
         """The last commands that the bus took, the newest at the end."""
@@ -100,6 +107,8 @@ class Checker:
         self._sample: bytes | None = None
         self._sample_problem = "the call is no sample"
         self._has_faulted = self._has_sync = False
+        self._before = self._centre
+        """Counts of the last command before the call."""
 
     # Before a call
 
@@ -191,8 +200,8 @@ class Checker:
         if output.cycle is not None:
             self._check_cycle(output.cycle, before, commands)
         if self._kind == "deadline":
-            self._check_deadline(state, commands)
-        elif self._request is not None and not (output.reply is not None and output.reply.text):
+            self._check_deadline(state, commands, [frame.id for frame in output.frames])
+        elif self._kind == "request" and not (output.reply is not None and output.reply.text):
             raise BrokenRule("life cycle", "a request without a reply")
         if isinstance(self._request, Jog) and output.reply.accepted:
             self._take_jog(self._request, now_ns)
@@ -202,6 +211,7 @@ class Checker:
         self._request = self._fault_due = self._stop_due = self._sample = None
         self._sample_problem = "the call is no sample"
         self._has_faulted = self._has_sync = False
+        self._before = self._commands[-1].counts
 
     def _require_contacts(self, now_ns: int) -> None:
         if self._stop is not None and not self._stop.is_closed(now_ns):
@@ -223,7 +233,7 @@ class Checker:
                 return f"{volts} V"
         if not self.rig.adc_protected:
             return ""
-        if not wire.is_intact(wire.SAMPLE, data):
+        if not wire.is_intact(wire.SAMPLE, data, self.rig.wire_version):
             return "checksum"
         before = self._sample_counter
         if before is not None and not 0 < (wire.counter_of(data) - before) % 256 < 128:
@@ -231,12 +241,15 @@ class Checker:
         return ""
 
     def _follow_log(self, log: Sequence[Any], before: str) -> None:
-        request = "jog" if isinstance(self._request, Jog) else self._request
+        names = {Jog: "jog", Arm: "arm"}
+        request = names.get(type(self._request), self._request)
         texts = [entry.text for entry in log if entry.source == "life cycle"]
         changes = self.follower.take(texts, request if isinstance(request, str) else None)
         self._has_faulted = "fault" in changes.causes
         if self._has_faulted != any(entry.severity == FATAL for entry in log):
             raise BrokenRule("fault", f"severities do not fit the changes {changes.causes}")
+        if "arm" in changes.causes and isinstance(self._request, Arm) and not self._request.may_arm:
+            raise BrokenRule("life cycle", "armed in spite of a failed check")
         if "boards up" in changes.causes and self._sample_problem:
             raise BrokenRule("answer", f"ready without a good sample: {self._sample_problem}")
         if "start" in changes.causes:
@@ -280,7 +293,7 @@ class Checker:
             raise BrokenRule("frame", f"command with {len(data)} bytes")
         if self.rig.dac_protected:
             is_counted = wire.counter_of(data) == self._command_counter & 0xFF
-            if not (is_counted and wire.is_intact(wire.COMMAND, data)):
+            if not (is_counted and wire.is_intact(wire.COMMAND, data, self.rig.wire_version)):
                 raise BrokenRule("frame", f"command {data.hex()}, counter should be {self._command_counter}")
         self._command_counter += 1
         counts, last = wire.counts_of(data), self._commands[-1]
@@ -307,24 +320,25 @@ class Checker:
             count, rest[place] = counts[place], wire.CENTRE_COUNTS
             if not axis.valve_v[0] <= count * wire.COUNT_V <= axis.valve_v[1]:
                 raise BrokenRule("magnitude", f"{axis.name}: {count * wire.COUNT_V} V")
+            if self._jog is not None and self._jog.axis != axis.name:
+                if count != self._centre[place]:
+                    raise BrokenRule(
+                        "centre", f"{axis.name}: {count} counts while {self._jog.axis} is jogged"
+                    )
+                continue
             step_v = abs(count - last.counts[place]) * wire.COUNT_V
             # Both commands are rounded to a count.
             if step_v > axis.max_rate_v_s * elapsed_ns / 1e9 + wire.COUNT_V + ROUNDING:
                 raise BrokenRule("rate", f"{axis.name}: {step_v} V in {elapsed_ns} ns")
-            if self._jog is not None:
-                self._check_jog(axis, count, self._jog)
+            offset_v = abs(count - self._centre[place]) * wire.COUNT_V
+            if self._jog is not None and offset_v > axis.jog_max_v + wire.COUNT_V:
+                raise BrokenRule("magnitude", f"{axis.name}: {offset_v} V in a jog")
         if rest != [wire.CENTRE_COUNTS] * wire.CHANNELS:
             raise BrokenRule("magnitude", f"channel without an axis: {counts} counts")
 
-    def _check_jog(self, axis: Axis, count: int, jog: Jog) -> None:
-        offset_v = (count - self._centre[axis.valve_channel - 1]) * wire.COUNT_V
-        if axis.name != jog.axis:
-            if offset_v:
-                raise BrokenRule("centre", f"{axis.name}: {offset_v} V while {jog.axis} is jogged")
-        elif abs(offset_v) > axis.jog_max_v + wire.COUNT_V:
-            raise BrokenRule("magnitude", f"{axis.name}: {offset_v} V in a jog")
-
-    def _check_deadline(self, state: str, commands: Sequence[tuple[int, ...]]) -> None:
+    def _check_deadline(
+        self, state: str, commands: Sequence[tuple[int, ...]], identifiers: Sequence[int]
+    ) -> None:
         if self._has_sync:
             self._silent_periods = 0
         elif not self._is_very_late:
@@ -333,6 +347,12 @@ class Checker:
         if self._silent_periods > MAX_SILENT_PERIODS or not (self._has_sync or may_be_silent):
             raise BrokenRule("SYNC", f"{self._silent_periods} periods without SYNC in state {state}")
         self._state_at_deadline = state
+        if state != "running" and self._before != self._centre:
+            is_first = (
+                identifiers.index(wire.COMMAND) < identifiers.index(wire.SYNC) if self._has_sync else False
+            )
+            if not is_first:
+                raise BrokenRule("SYNC", f"open valves are not centred before SYNC: {identifiers}")
         if (state == "running") != (not commands):
             raise BrokenRule("centre", f"{len(commands)} commands at a deadline in state {state}")
 

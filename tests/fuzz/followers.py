@@ -17,9 +17,10 @@ ROUNDING = 1e-9
 class Contact:
     """A contact in the frame with the digital inputs."""
 
-    def __init__(self, mask: int, is_protected: bool) -> None:
+    def __init__(self, mask: int, rig: RigFacts) -> None:
         self._mask = mask
-        self._is_protected = is_protected
+        self._version = rig.wire_version
+        self._is_protected = rig.inputs_protected
         self._counter: int | None = None
         self._closed_ns: int | None = None
 
@@ -27,7 +28,7 @@ class Contact:
         """Take the data of a frame."""
         if len(data) < wire.length(wire.INPUTS_LENGTH, self._is_protected):
             return
-        if self._is_protected and not wire.is_intact(wire.INPUTS, data):
+        if self._is_protected and not wire.is_intact(wire.INPUTS, data, self._version):
             return
         if not data[0] & self._mask:
             self._closed_ns = None
@@ -64,7 +65,7 @@ class ReadBack:
         if len(data) != self._length:
             return
         if self._rig.dac_protected:
-            if not wire.is_intact(wire.READ_BACK, data):
+            if not wire.is_intact(wire.READ_BACK, data, self._rig.wire_version):
                 return
             before, self._counter = self._counter, wire.counter_of(data)
             if before is not None and not 0 < (self._counter - before) % 256 < 128:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fuzz import rigs, wire
-from fuzz.checker import Checker, Jog
+from fuzz.checker import Arm, Checker, Jog
 from fuzz.rigs import RIGS, RigFacts
 from hil.core.control_law import ControlLaw, LawNumbers, law_numbers
 from hil.core.controller_change import PreparedController, prepare_controller
@@ -25,7 +25,14 @@ from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import Trigger
 from hil.core.output import Output
-from hil.core.requests import ControllerRequest, JogRequest, Request, SetpointRequest
+from hil.core.requests import (
+    ArmRequest,
+    CheckFailure,
+    ControllerRequest,
+    JogRequest,
+    Request,
+    SetpointRequest,
+)
 from hil.core.rig import Rig, read_rig
 from hil.core.setpoints import Setpoint, parse_setpoint
 
@@ -44,6 +51,7 @@ DOCUMENT = """{"format": "hil-controller", "version": 1, "name": "", "descriptio
 CONTROLLERS = tuple(
     DOCUMENT % (unit, gain) for unit in ("m", "rad") for gain in ("20.0", "-900.0", "1e5", '"high"')
 )
+CHECKS = ("memory lock", "controller-vertical")
 CENTRED = (wire.CENTRE_COUNTS,) * wire.CHANNELS
 
 Step = list[Any]
@@ -83,6 +91,7 @@ class PlayedRig:
             "read back": self._read_back,
             "frame": self._frame,
             "operate": self._operate,
+            "arm": self._arm,
             "setpoint": self._change_setpoint,
             "controller": self._change_controller,
             "jog": self._jog,
@@ -102,10 +111,19 @@ class PlayedRig:
 
     # Steps. Every argument is an integer, a float, a text or a list of integers.
 
-    def _periods(self, number: int, ways: Sequence[int], after_ns: int, left_out: int) -> None:
-        """Let good periods pass, in which each axis moves by ``ways`` (counts a period).
+    def _periods(
+        self,
+        number: int,
+        ways: Sequence[int],
+        after_ns: int,
+        counter_step: int = 1,
+        damage: int = 0,
+        left_out: int = 0,
+    ) -> None:
+        """Let periods pass, in which each axis moves by ``ways`` (counts a period).
 
-        ``left_out`` has a bit for each kind of frame that does not arrive in them; 0: every frame arrives.
+        They are good unless ``counter_step`` or ``damage`` spoils their samples. ``left_out`` has a bit for
+        each kind of frame that does not arrive; 0: every frame arrives.
         """
         for _ in range(number):
             self._deadline(0)
@@ -117,7 +135,7 @@ class PlayedRig:
             if self.facts.read_back and not left_out & 8:
                 self._read_back([0, 0, 0], 1, 0)
             if not left_out & 16:
-                self._sample(ways, after_ns, 1, 0)
+                self._sample(ways, after_ns, counter_step, damage)
 
     def _deadline(self, late_ns: int) -> None:
         self.now_ns = max(self.now_ns, self.core.next_deadline_ns + late_ns)
@@ -135,7 +153,7 @@ class PlayedRig:
         first, second, third = self._volts = moved[0], moved[1], moved[2]
         data = wire.analogue((first, second, third))
         if self.facts.adc_protected:
-            data = wire.protect(wire.SAMPLE, data, self._counter)
+            data = wire.protect(wire.SAMPLE, data, self._counter, self.facts.wire_version)
         self._receive(Frame(wire.SAMPLE, _damaged(data, damage)))
         is_outside = any(not 700 < count < 32000 for count in self._volts)
         if is_outside:
@@ -151,7 +169,7 @@ class PlayedRig:
         self._inputs_counter += counter_step
         data = bytes((bits,))
         if self.facts.inputs_protected:
-            data = wire.protect(wire.INPUTS, data, self._inputs_counter)
+            data = wire.protect(wire.INPUTS, data, self._inputs_counter, self.facts.wire_version)
         self._receive(Frame(wire.INPUTS, _damaged(data, damage)))
 
     def _read_back(self, differences: Sequence[int], counter_step: int, damage: int) -> None:
@@ -163,7 +181,7 @@ class PlayedRig:
         ]
         data = wire.analogue(pins)
         if self.facts.dac_protected:
-            data = wire.protect(wire.READ_BACK, data, self._read_back_counter)
+            data = wire.protect(wire.READ_BACK, data, self._read_back_counter, self.facts.wire_version)
         self._receive(Frame(wire.READ_BACK, _damaged(data, damage)))
 
     def _frame(self, identifier: int, data: str, flags: int) -> None:
@@ -172,6 +190,12 @@ class PlayedRig:
 
     def _operate(self, trigger: str) -> None:
         self._request(Trigger(trigger), trigger)
+
+    def _arm(self, failed: int, overridden: int) -> None:
+        """Arm with failed and overridden checks, each as bits."""
+        failures = tuple(CheckFailure(name, "played") for bit, name in enumerate(CHECKS) if failed >> bit & 1)
+        overrides = tuple(name for bit, name in enumerate(CHECKS) if overridden >> bit & 1)
+        self._request(ArmRequest(failures, overrides), Arm(not failed & ~overridden))
 
     def _change_setpoint(self, axis: str, text: str) -> None:
         self._request(SetpointRequest(axis, text), None)
@@ -205,7 +229,7 @@ class PlayedRig:
             self._emergency(board, 0)
         self._operate("reset")
         for _ in range(7):
-            self._periods(1, [0, 0, 0], 1_000_000, 0)
+            self._periods(1, [0, 0, 0], 1_000_000)
             if self.state != "offline":
                 break
         if until != "ready":

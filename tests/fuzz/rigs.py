@@ -58,6 +58,7 @@ class RigFacts:
     adc_protected: bool = True
     dac_protected: bool = True
     apply: str = "at sync"
+    wire_version: int = 2
     stale_periods: int = 3
     has_stop: bool = False
     has_enable: bool = False
@@ -72,7 +73,7 @@ class RigFacts:
         """Return the rig file."""
         lines = [
             f"[loop]\nperiod_s = {PERIOD_NS / 1e9}",
-            '[bus]\nchannel = "sim"',
+            f'[bus]\nchannel = "sim"\nwire_version = {self.wire_version}',
             "[gateway]\nheartbeat_interval_s = 0.1",
             f"[adc]\nprotected = {_toml(self.adc_protected)}\nstale_after_periods = {self.stale_periods}",
             f"heartbeat_timeout_s = {HEARTBEAT_TIMEOUT_NS / 1e9}",
@@ -166,8 +167,9 @@ RIGS = {
         RigFacts("plain", _ALL),
         RigFacts("narrow", _NARROW, adc_protected=False),
         RigFacts("bare", _ALL, adc_protected=False, dac_protected=False, apply="at once", stale_periods=1),
-        RigFacts("strict", _STRICT, stale_periods=5),
+        RigFacts("strict", _STRICT, stale_periods=5, wire_version=1),
         RigFacts("stop", _ALL, has_stop=True, has_enable=True, read_back=True),
+        RigFacts("stop 1", _ALL, has_stop=True, has_enable=True, read_back=True, wire_version=1),
         RigFacts(
             "bare stop", _NARROW, dac_protected=False, has_stop=True, inputs_protected=False, read_back=True
         ),

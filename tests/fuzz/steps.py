@@ -81,8 +81,14 @@ def draw_steps(number: int, random: Random) -> list[Step]:
 
 def _draw_step(kind: str, random: Random) -> Step:
     step = [kind, *(_draw(argument, random) for argument in ARGUMENTS[kind])]
-    if kind == "periods" and random.random() < 0.15:
-        step[1], step[-1] = random.choice((1, 2, 3, 6, 30)), 1 << random.randrange(5)
+    if kind == "periods":
+        match random.randrange(12):
+            case 0:
+                step[1], step[-1] = random.choice((1, 2, 3, 6, 30)), 1 << random.randrange(5)
+            case 1:
+                step[4] = random.choice(COUNTER_STEPS)
+            case 2:
+                step[5] = random.randint(1, 66)
     return step
 
 
@@ -115,7 +121,7 @@ def _draw(argument: str, random: Random) -> object:
 
 
 ARGUMENTS = {
-    "periods": ("number", "ways", "after", "left out"),
+    "periods": ("number", "ways", "after", "one", "zero", "zero"),
     "deadline": ("late",),
     "pause": ("pause",),
     "sample": ("ways", "after", "step", "damage"),
@@ -125,6 +131,7 @@ ARGUMENTS = {
     "read back": ("ways", "step", "damage"),
     "frame": ("identifier", "data", "flags"),
     "operate": ("trigger",),
+    "arm": ("checks", "checks"),
     "setpoint": ("axis", "text"),
     "controller": ("axis", "controller", "prepared"),
     "jog": ("axis", "volts", "duration"),
@@ -137,7 +144,8 @@ CHOICES: dict[str, tuple[object, ...]] = {
     "after": AFTER_NS,
     "late": LATE_NS,
     "number": (1, 1, 1, 2, 3, 6),
-    "left out": (0,),
+    "one": (1,),
+    "zero": (0,),
     "pause": PAUSES_NS,
     "step": COUNTER_STEPS,
     "board": (wire.ADC_HEARTBEAT, wire.DAC_HEARTBEAT),
@@ -146,6 +154,7 @@ CHOICES: dict[str, tuple[object, ...]] = {
     "code": CODES,
     "bits": (3, 3, 3, 1, 2, 0, 0xFF),
     "trigger": TRIGGERS,
+    "checks": (0, 0, 1, 2, 3),
     "axis": ("vertical", "horizontal", "rotation", "vertical", "horizontal", "elbow"),
     "text": TEXTS,
     "controller": tuple(range(len(CONTROLLERS))),
@@ -164,6 +173,7 @@ FREQUENCIES = {
     "read back": 3,
     "frame": 3,
     "operate": 6,
+    "arm": 2,
     "setpoint": 2,
     "controller": 1,
     "jog": 5,

@@ -191,7 +191,7 @@ DEFECTS: dict[str, tuple[Patch, set[str]]] = {
 def find(patch: pytest.MonkeyPatch, defect: Patch) -> Failure:
     """Return what the search finds in a gateway with a planted defect."""
     defect(patch)
-    result = search(100_000, seed=1)
+    result = search(200_000, seed=1)
     assert result.failure is not None, f"not found in {result.inputs} inputs"
     return result.failure
 

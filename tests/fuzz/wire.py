@@ -24,10 +24,10 @@ CENTRE_COUNTS = 16384
 """5 V, the voltage of a channel without an axis."""
 
 
-def checksum(data: bytes) -> int:
-    """Return the CRC-8 SAE J1850 of ``data``."""
+def checksum(identifier: int, data: bytes, version: int) -> int:
+    """Return the CRC-8 SAE J1850 of ``data``. In version 2 of the wire, the identifier stands before them."""
     remainder = 0xFF
-    for byte in data:
+    for byte in data if version == 1 else identifier.to_bytes(2, "little") + data:
         remainder = _REMAINDERS[remainder ^ byte]
     return remainder ^ 0xFF
 
@@ -42,9 +42,9 @@ def _remainder(byte: int) -> int:
 _REMAINDERS = bytes(map(_remainder, range(256)))
 
 
-def is_intact(identifier: int, data: bytes) -> bool:
+def is_intact(identifier: int, data: bytes, version: int) -> bool:
     """Return whether the last byte of a protected frame is its checksum."""
-    return len(data) > 0 and checksum(data[:-1]) == data[-1]
+    return len(data) > 0 and checksum(identifier, data[:-1], version) == data[-1]
 
 
 def counter_of(data: bytes) -> int:
@@ -52,10 +52,10 @@ def counter_of(data: bytes) -> int:
     return data[-2]
 
 
-def protect(identifier: int, data: bytes, counter: int) -> bytes:
+def protect(identifier: int, data: bytes, counter: int, version: int) -> bytes:
     """Return ``data`` with a counter and a checksum."""
     counted = data + bytes((counter & 0xFF,))
-    return counted + bytes((checksum(counted),))
+    return counted + bytes((checksum(identifier, counted, version),))
 
 
 def analogue(counts: Sequence[int]) -> bytes:
