@@ -22,7 +22,7 @@ from hil.links.bus_model.rig_bus import RigBus
 from hil.shells.journal import Journal
 from hil.shells.lockstep import Lockstep
 from hil.shells.lockstep_bus import BusLockstep
-from hil.shells.run_setup import load_setup
+from hil.shells.run_setup import RunSetup, load_setup
 
 if TYPE_CHECKING:
     from firmware_sim.faults.kinds import AnyFault
@@ -52,7 +52,7 @@ class LockstepRig:
 
     def __init__(
         self,
-        rig: str | os.PathLike[str] | None = None,
+        rig: str | os.PathLike[str] | RunSetup | None = None,
         *,
         controllers: Mapping[str, str] | None = None,
         setpoints: Mapping[str, str] | None = None,
@@ -61,14 +61,14 @@ class LockstepRig:
         seed: int = 0,
         bit_rate: int | None = None,
     ) -> None:
-        """Build the rig of a rig file, or of the shipped one.
+        """Build the rig of a rig file, of the shipped one, or of a set-up that has been read already.
 
         ``controllers`` (shipped names or files) and ``setpoints`` (such as ``step:0.1@1``) are given by axis
-        and replace those of the rig file. ``plant`` is what the boards are wired to: by default the pneumatic
-        arm, with ``seed`` for the noise of its potentiometers. ``faults`` are texts such as
-        ``lose:sample,5@2``, or documents of ``firmware_sim.faults.kinds``; their times count from the first
-        sample. ``bit_rate`` in bit/s, or else ``bus.bit_rate`` of the rig file, gives the rig a modelled bus,
-        on which frames take time and wait. Raises DocumentError or SetpointError.
+        and replace those of the rig file; a set-up has its own. ``plant`` is what the boards are wired to. By
+        default it is the pneumatic arm, with ``seed`` for the noise of its potentiometers. ``faults`` are
+        texts such as ``lose:sample,5@2``, or documents of ``firmware_sim.faults.kinds``. Their times count
+        from the first sample. ``bit_rate`` in bit/s, or else ``bus.bit_rate`` of the rig file, gives the rig a
+        modelled bus, on which frames take time and wait. Raises DocumentError or SetpointError.
         """
         from firmware_sim.arm.arm import Arm
         from firmware_sim.arm.arm_file import shipped_arm
@@ -76,9 +76,13 @@ class LockstepRig:
         from firmware_sim.faulty_rig import FaultyRig
         from firmware_sim.simulated_rig import SimulatedRig
 
-        self._setup = setup = load_setup(
-            None if rig is None else Path(rig), controllers or {}, setpoints or {}
-        )
+        if isinstance(rig, RunSetup):
+            if controllers or setpoints:
+                raise TypeError("controllers and setpoints are those of the set-up that is given")
+            setup = rig
+        else:
+            setup = load_setup(None if rig is None else Path(rig), controllers or {}, setpoints or {})
+        self._setup = setup
         self.rig = setup.rig
         if plant is None:
             plant = Arm(shipped_arm(), seed=seed, wiring=wiring(setup.rig))

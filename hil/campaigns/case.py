@@ -19,13 +19,13 @@ from firmware_sim.boards.codec import DAC_NODE, RPDO1_ID, VOLTS_PER_COUNT
 from firmware_sim.faults.fault_text import fault_text, parse_fault
 from firmware_sim.faults.frame_faults import counts_of
 from hil.campaigns.campaign_file import Campaign, Case, case_at
+from hil.campaigns.prepared import PreparedCampaign, build_setup
 from hil.core.documents import from_plain
 from hil.core.errors import DocumentError, HilError
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState
 from hil.core.rig import Rig
 from hil.lockstep_rig import LockstepRig
-from hil.shells.run_setup import load_rig
 from hil.views.summary import StepResponse, axis_summary
 
 PASSED: Final = "pass"
@@ -76,40 +76,29 @@ class _Motion(NamedTuple):
     periods: int
 
 
-def run_case(campaign: Campaign, number: int, record: Path | None = None) -> CaseResult:
+def run_case(prepared: PreparedCampaign, number: int, record: Path | None = None) -> CaseResult:
     """Run a case. ``record`` is a file for its recording. The same case gives the same result and bytes.
 
-    Raises DocumentError or SetpointError if the campaign does not fit the rig file, and HilError if the rig
-    cannot be started.
+    Raises DocumentError if a fault or a drawn parameter does not fit the rig or the arm, and HilError if the
+    rig cannot be started.
     """
+    campaign = prepared.campaign
     case = case_at(campaign, number)
     random = Random(f"campaign {campaign.seed}, case {number}")
     drawn = {key: distribution.draw(random) for key, distribution in campaign.arm.items()}
-    rig = _build(campaign, case, drawn, random.getrandbits(31))
+    rig = _build(prepared, case, drawn, random.getrandbits(31))
     motion = _run(rig, campaign.duration_s, case)
     if record is not None:
         rig.save_recording(record)
     return _result(campaign, case, rig, motion, drawn)
 
 
-def _build(campaign: Campaign, case: Case, drawn: dict[str, float], seed: int) -> LockstepRig:
-    setup = campaign.setups[case.setup]
-    settings = _rig_file(campaign.rig)
-    plant = Arm(_arm(tuple(drawn.items())), seed=seed, wiring=wiring(settings))
-    faults = [*setup.conditions, *([case.fault_text] if case.fault_text else [])]
-    return LockstepRig(
-        campaign.rig,
-        controllers=setup.controllers,
-        setpoints=setup.setpoints,
-        plant=plant,
-        faults=faults,
-        seed=seed,
-    )
-
-
-@functools.lru_cache(maxsize=1)
-def _rig_file(path: str | None) -> Rig:
-    return load_rig(path)
+def _build(prepared: PreparedCampaign, case: Case, drawn: dict[str, float], seed: int) -> LockstepRig:
+    setup = build_setup(prepared.setups[case.setup])
+    plant = Arm(_arm(tuple(drawn.items())), seed=seed, wiring=wiring(setup.rig))
+    conditions = prepared.campaign.setups[case.setup].conditions
+    faults = [*conditions, *([case.fault_text] if case.fault_text else [])]
+    return LockstepRig(setup, plant=plant, faults=faults, seed=seed)
 
 
 @functools.lru_cache(maxsize=1)

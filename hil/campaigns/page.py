@@ -14,8 +14,8 @@ from typing import Final
 
 from jinja2 import Environment
 
-from hil.campaigns.campaign_file import Campaign
 from hil.campaigns.case import FAILED, CaseResult, run_case
+from hil.campaigns.prepared import PreparedCampaign
 from hil.campaigns.summary import CampaignSummary
 from hil.recording import open_recording
 from hil.views.plots import plot_run
@@ -78,7 +78,11 @@ def worst_cases(results: Iterable[CaseResult], count: int = LISTED_CASES) -> lis
 
 
 def write_page(
-    folder: Path, campaign: Campaign, name: str, summary: CampaignSummary, results: Iterable[CaseResult]
+    folder: Path,
+    prepared: PreparedCampaign,
+    name: str,
+    summary: CampaignSummary,
+    results: Iterable[CaseResult],
 ) -> Path:
     """Write the page into ``folder``, with recordings and plots of the worst cases. Returns its file.
 
@@ -90,11 +94,15 @@ def write_page(
     for result in worst[:PLOTTED_CASES]:
         path = cases / f"case-{result.number}.mcap"
         path.unlink(missing_ok=True)
-        run_case(campaign, result.number, path)
+        run_case(prepared, result.number, path)
         plot_run(open_recording(path), path.with_suffix(".png"), title=result.fault)
     page = Environment(autoescape=True, trim_blocks=True).from_string(_TEMPLATE)
     text = page.render(
-        campaign=campaign, name=shlex.quote(name), summary=summary, worst=worst, plotted=PLOTTED_CASES
+        campaign=prepared.campaign,
+        name=shlex.quote(name),
+        summary=summary,
+        worst=worst,
+        plotted=PLOTTED_CASES,
     )
     (folder / PAGE).write_text(text, encoding="utf-8")
     return folder / PAGE

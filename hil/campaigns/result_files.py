@@ -29,9 +29,14 @@ _COLUMNS: Final = tuple(field.name for field in msgspec.structs.fields(CaseResul
 class ResultFolder:
     """The folder of one campaign's results."""
 
-    def __init__(self, path: Path, campaign_text: str) -> None:
-        """Create the folder, or continue in it. Raises HilError if it holds another campaign's results."""
+    def __init__(self, path: Path, campaign_text: str, cases: int) -> None:
+        """Create the folder, or continue in it. Raises HilError if it holds another campaign's results.
+
+        ``cases`` is the number of cases of the campaign. The folder may have results of more cases, from a
+        campaign with more draws. They are kept, but they are not among the results.
+        """
         self.path = path
+        self._cases = cases
         self._lines = path / LINES
         copy = path / CAMPAIGN
         try:
@@ -45,8 +50,8 @@ class ResultFolder:
                 f"{path}: has results of another campaign, or of another version of this file; choose "
                 "another folder with --output, or remove this one"
             )
-        self.finished = self._drop_incomplete_line()
-        """Number of cases whose results are complete."""
+        self.finished = min(self._drop_incomplete_line(), cases)
+        """Number of cases of the campaign whose results are complete."""
 
     def append(self, results: Iterable[CaseResult]) -> None:
         """Add the results of the next cases."""
@@ -59,7 +64,7 @@ class ResultFolder:
         """Yield all results in the order of the cases."""
         if self._lines.exists():
             with self._lines.open("rb") as file:
-                for line in file:
+                for line in islice(file, self._cases):
                     yield msgspec.json.decode(line, type=CaseResult)
 
     def write_table(self) -> Path:

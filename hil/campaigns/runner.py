@@ -11,15 +11,16 @@ from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from typing import Final, TypeAlias
 
-from hil.campaigns.campaign_file import Campaign, case_count
+from hil.campaigns.campaign_file import case_count
 from hil.campaigns.case import CaseResult, run_case
+from hil.campaigns.prepared import PreparedCampaign
 from hil.core.errors import HilError
 
 _Group: TypeAlias = "Future[list[CaseResult]]"
 
 CASES_AT_ONCE: Final = 8
 """Number of cases that a process is given at once."""
-_WAITING_PER_WORKER: Final = 4
+WAITING_PER_WORKER: Final = 4
 """Number of groups of cases that wait for each process, so that none is idle."""
 
 
@@ -28,19 +29,19 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def run_cases(campaign: Campaign, first: int, workers: int) -> Iterator[list[CaseResult]]:
+def run_cases(prepared: PreparedCampaign, first: int, workers: int) -> Iterator[list[CaseResult]]:
     """Return the results of the cases from ``first`` on, in groups and in order.
 
     With one worker, the cases run in this process. Otherwise the processes begin at once. The iterator raises
     the HilError of a case that cannot run, and HilError if a process ends.
     """
-    groups = _groups(first, case_count(campaign))
+    groups = groups_of(prepared, first)
     if workers == 1:
-        return (run_group(campaign, start, stop) for start, stop in groups)
+        return (run_group(prepared, start, stop) for start, stop in groups)
     pool = ProcessPoolExecutor(workers, initializer=_ignore_interrupt)
-    submitted = (pool.submit(run_group, campaign, start, stop) for start, stop in groups)
+    submitted = (pool.submit(run_group, prepared, start, stop) for start, stop in groups)
     # All processes are forked here, before the caller shows progress in a thread.
-    waiting = deque(islice(submitted, workers * _WAITING_PER_WORKER))
+    waiting = deque(islice(submitted, workers * WAITING_PER_WORKER))
     return _in_order(pool, waiting, submitted)
 
 
@@ -69,11 +70,13 @@ def _ignore_interrupt() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def run_group(campaign: Campaign, start: int, stop: int) -> list[CaseResult]:
+def run_group(prepared: PreparedCampaign, start: int, stop: int) -> list[CaseResult]:
     """Run the cases from ``start`` to before ``stop``."""
-    return [run_case(campaign, number) for number in range(start, stop)]
+    return [run_case(prepared, number) for number in range(start, stop)]
 
 
-def _groups(first: int, count: int) -> Iterator[tuple[int, int]]:
+def groups_of(prepared: PreparedCampaign, first: int) -> Iterator[tuple[int, int]]:
+    """Yield the first case of each group, and the one after its last, from the case ``first`` on."""
+    count = case_count(prepared.campaign)
     for start in range(first, count, CASES_AT_ONCE):
         yield start, min(start + CASES_AT_ONCE, count)

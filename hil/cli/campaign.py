@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hil.campaigns.campaign_file import Campaign
+    from hil.campaigns.prepared import PreparedCampaign
     from hil.campaigns.result_files import ResultFolder
     from hil.campaigns.summary import CampaignSummary
 
@@ -36,6 +37,11 @@ def parser() -> CommandParser:
     )
     command.add_argument(
         "--workers", type=_positive, metavar="N", help="number of processes (default: one per processor)"
+    )
+    command.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="run the cases on the Dask cluster with this scheduler, such as tcp://10.0.0.5:8786",
     )
     command.add_argument("--draws", type=_positive, metavar="N", help="number of draws instead of the file's")
     command.add_argument(
@@ -60,17 +66,22 @@ def main(argv: list[str]) -> int:
 
         campaign = msgspec.structs.replace(campaign, draws=options.draws)
     if options.case is not None:
+        if options.dask is not None:
+            raise HilError("--dask is for whole campaigns; a single case (--case) runs on this machine")
         return _run_one(campaign, options.case, options.record)
+    if options.dask is not None and options.workers is not None:
+        raise HilError("--workers is for processes of this machine; with --dask, the cluster has the workers")
     return _run_all(campaign, text, path, options)
 
 
 def _run_one(campaign: Campaign, number: int, record: Path | None) -> int:
     from hil.campaigns.campaign_file import case_count
     from hil.campaigns.case import PASSED, run_case
+    from hil.campaigns.prepared import prepare
 
     if not 0 <= number < case_count(campaign):
         raise HilError(f"--case {number}: the campaign has the cases 0 to {case_count(campaign) - 1}")
-    result = run_case(campaign, number, record)
+    result = run_case(prepare(campaign), number, record)
     for name in result.__struct_fields__:
         print(f"{name:22} {getattr(result, name)}")
     if record is not None:
@@ -81,38 +92,44 @@ def _run_one(campaign: Campaign, number: int, record: Path | None) -> int:
 def _run_all(campaign: Campaign, text: str, path: Path, options: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from hil.campaigns.campaign_file import case_count
     from hil.campaigns.page import write_page
+    from hil.campaigns.prepared import prepare
     from hil.campaigns.result_files import ResultFolder
-    from hil.campaigns.runner import default_workers
     from hil.campaigns.summary import summarise_campaign
 
-    folder = ResultFolder(options.output or Path("campaigns") / path.stem, text)
+    prepared = prepare(campaign)
+    folder = ResultFolder(options.output or Path("campaigns") / path.stem, text, case_count(campaign))
     console = Console(highlight=False, soft_wrap=True, markup=False)
     try:
-        _run_remaining(campaign, folder, options.workers or default_workers())
+        _run_remaining(prepared, folder, options)
     except KeyboardInterrupt:
         console.print(f"interrupted after {folder.finished} cases; the same command goes on from there")
         return 130
     summary = summarise_campaign(folder.results())
     _print_summary(console, campaign, summary, options.campaign)
     console.print(f"results    {folder.write_table()}")
-    page = write_page(folder.path, campaign, options.campaign, summary, folder.results())
+    page = write_page(folder.path, prepared, options.campaign, summary, folder.results())
     console.print(f"page       {page}  (the worst cases first, with their plots)")
     return 1 if summary.failed else 0
 
 
-def _run_remaining(campaign: Campaign, folder: ResultFolder, workers: int) -> None:
+def _run_remaining(prepared: PreparedCampaign, folder: ResultFolder, options: argparse.Namespace) -> None:
     """Run the cases that have no result yet, and show how far they are and how long they will take."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from hil.campaigns.campaign_file import case_count
-    from hil.campaigns.runner import run_cases
+    from hil.campaigns.dask_runner import run_cases_on_dask
+    from hil.campaigns.runner import default_workers, run_cases
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     progress = Progress(*columns, console=Console(stderr=True))
-    groups = run_cases(campaign, folder.finished, workers)
-    task = progress.add_task("cases", total=case_count(campaign), completed=folder.finished)
+    if options.dask is not None:
+        groups = run_cases_on_dask(prepared, folder.finished, options.dask)
+    else:
+        groups = run_cases(prepared, folder.finished, options.workers or default_workers())
+    task = progress.add_task("cases", total=case_count(prepared.campaign), completed=folder.finished)
     with progress:
         for results in groups:
             folder.append(results)

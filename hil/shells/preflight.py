@@ -69,7 +69,7 @@ def _files(setup: RunSetup) -> Iterator[Check]:
     """Report what was read. Reading has checked keys, limits, sample times and units."""
     rig = setup.rig
     yield check("rig file", f"valid; axes {', '.join(rig.axes)}; period {1e3 * rig.loop.period_s:g} ms")
-    failures = setup.controller_failures()
+    failures = setup.controller_failures
     for name, controller in setup.controllers.items():
         if name in failures:
             yield check(f"controller {name}", failures[name], "design another controller", is_essential=True)

@@ -6,6 +6,7 @@ knows no bus.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 from collections.abc import Mapping
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.core.closed_loop_poles import check_closed_loop
-from hil.core.control_law import ControlLaw, check_law_runs
+from hil.core.control_law import ControlLaw, LawNumbers, check_law_runs, law_numbers
 from hil.core.controller_change import delay_periods
 from hil.core.controller_file import ControllerFile, check_controller_fits, read_controller
 from hil.core.errors import DocumentError, SetpointError
@@ -51,12 +52,16 @@ class RunSetup:
 
     def gateway(self, first_deadline_ns: int) -> Gateway:
         """Return a new gateway core in state offline."""
-        laws = {name: ControlLaw(c.law, c.sample_time_s) for name, c in self.controllers.items()}
-        failures = self.controller_failures()
+        laws = {
+            name: ControlLaw.of_numbers(numbers, self.controllers[name].sample_time_s)
+            for name, numbers in self._law_numbers.items()
+        }
+        failures = self.controller_failures
         return Gateway(self.rig, laws, self.setpoints, first_deadline_ns, self.experiment, failures)
 
+    @functools.cached_property
     def controller_failures(self) -> dict[str, str]:
-        """Return, by axis name, why a controller must not run: its closed loop is unstable.
+        """Reasons, by axis name, why a controller must not run: its closed loop is unstable.
 
         The texts depend on the documents alone, so that a replay has the same.
         """
@@ -67,6 +72,11 @@ class RunSetup:
             except DocumentError as error:
                 failures[name] = str(error)
         return failures
+
+    @functools.cached_property
+    def _law_numbers(self) -> dict[str, LawNumbers]:
+        """Numbers of the control laws by axis, which are computed once for all gateways of this setup."""
+        return {name: law_numbers(c.law, c.sample_time_s) for name, c in self.controllers.items()}
 
     def digests(self) -> dict[str, str]:
         """Return the SHA-256 of every document, by its name."""

@@ -5,17 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import os
+import pickle
 from pathlib import Path
 from unittest import mock
 
 import pytest
 from support.board_bench import pdo
-from support.shipped_rig import SHIPPED_RIG
+from support.shipped_rig import RIG_TEXT, SHIPPED_RIG
 
 from hil.campaigns import result_files, runner
 from hil.campaigns.campaign_file import Campaign, case_at, case_count, find_campaign, read_campaign
 from hil.campaigns.case import CaseResult, commands_keep_limits, run_case
 from hil.campaigns.page import worst_cases
+from hil.campaigns.prepared import prepare
 from hil.campaigns.result_files import ResultFolder
 from hil.campaigns.summary import SHOWN_FAILURES, summarise_campaign
 from hil.cli import main
@@ -57,19 +59,19 @@ def test_the_draw_changes_most_slowly_so_that_more_draws_only_add_cases() -> Non
     assert [case_at(few, number).fault_text for number in (0, 1, 2, 4)] == [
         "lose:sample@running+0.2", "", "lose:sample@0.3", "lose:sample@running+0.2"
     ]  # fmt: skip
-    assert run_case(few, 4) == run_case(many, 4)
+    assert run_case(prepare(few), 4) == run_case(prepare(many), 4)
 
 
 def test_the_randomness_of_a_case_depends_on_seed_and_number() -> None:
-    results = [run_case(campaign(), number) for number in (0, 2, 0)]
+    results = [run_case(prepare(campaign()), number) for number in (0, 2, 0)]
     assert results[0] == results[2]
     assert results[0].arm != results[1].arm
-    assert run_case(campaign("seed = 1" + TEXT), 0).arm != results[0].arm
+    assert run_case(prepare(campaign("seed = 1" + TEXT)), 0).arm != results[0].arm
     assert 440.0 <= json.loads(results[0].arm)["supply.gauge_kpa"] <= 460.0
 
 
 def test_a_case_gives_reaction_and_verdict(tmp_path: Path) -> None:
-    lost, good = run_case(campaign(), 0, tmp_path / "case.mcap"), run_case(campaign(), 1)
+    lost, good = run_case(prepare(campaign()), 0, tmp_path / "case.mcap"), run_case(prepare(campaign()), 1)
     assert (lost.verdict, lost.state, lost.centred_after_periods, lost.limits_held) == (
         "pass",
         "FAULT",
@@ -93,7 +95,7 @@ def test_a_case_gives_reaction_and_verdict(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_case_that_fails_says_why(change: tuple[str, str], problem: str) -> None:
-    result = run_case(campaign(TEXT.replace(*change)), 0)
+    result = run_case(prepare(campaign(TEXT.replace(*change))), 0)
     assert result.verdict == "fail"
     assert problem in result.problem
 
@@ -108,11 +110,11 @@ steady_state_error = 1e-9
 
 
 def test_criteria_judge_the_step_response() -> None:
-    result = run_case(campaign(TEXT.replace("sine:0.1@0/2", "step:0.05@0.1") + CRITERIA), 1)
+    result = run_case(prepare(campaign(TEXT.replace("sine:0.1@0/2", "step:0.05@0.1") + CRITERIA)), 1)
     assert "vertical: settling time in s" in result.problem
     assert "vertical: steady-state error" in result.problem
     assert result.overshoot is not None
-    assert run_case(campaign(TEXT + CRITERIA), 1).problem == "vertical: made no step from rest"
+    assert run_case(prepare(campaign(TEXT + CRITERIA)), 1).problem == "vertical: made no step from rest"
 
 
 @pytest.mark.parametrize(
@@ -132,9 +134,31 @@ def test_an_error_of_the_file_is_found_before_any_case_runs(change: tuple[str, s
     assert problem in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (("sine:0.1@0/2", "sine:9@0/2"), "vertical"),
+        (("[[setups]]\n", '[[setups]]\ncontrollers = { vertical = "pid" }\n'), "controller 'pid'"),
+    ],
+)
+def test_an_error_of_a_set_up_is_found_before_any_case_runs(change: tuple[str, str], problem: str) -> None:
+    with pytest.raises(HilError, match=problem):
+        prepare(campaign(TEXT.replace(*change)))
+
+
+def test_a_case_needs_no_file_after_the_campaign_is_prepared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.toml").write_text(RIG_TEXT)
+    prepared = prepare(campaign('rig = "own.toml"\n' + TEXT))
+    Path("own.toml").unlink()
+    assert run_case(pickle.loads(pickle.dumps(prepared)), 1) == run_case(prepare(campaign()), 1)
+
+
 def test_a_parameter_that_the_arm_does_not_have_is_an_error() -> None:
     with pytest.raises(DocumentError, match=r"arm\.supply\.gauge_bar: the arm file has no number"):
-        run_case(campaign(TEXT.replace("gauge_kpa", "gauge_bar")), 0)
+        run_case(prepare(campaign(TEXT.replace("gauge_kpa", "gauge_bar"))), 0)
 
 
 def test_an_unknown_campaign_is_an_error_with_the_shipped_ones() -> None:
@@ -187,6 +211,26 @@ def test_the_command_gives_the_same_bytes_with_any_number_of_processes_and_resum
     assert "has results of another campaign" in capsys.readouterr().err
 
 
+def test_fewer_draws_than_the_results_show_only_their_own_cases(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.campaigns.page.PLOTTED_CASES", 0)
+    monkeypatch.chdir(tmp_path)
+    Path("two.toml").write_text(TEXT.replace("duration_s = 0.8", "duration_s = 0.1"))
+    command = ["campaign", "two.toml", "--workers", "1", "--output", "out"]
+    main([*command, "--draws", "3"])
+    before = (tmp_path / "out" / "results.jsonl").read_bytes()
+    capfd.readouterr()
+    main([*command, "--draws", "2"])
+    shown = capfd.readouterr()
+    assert "8 cases" in shown.out
+    assert "8/8" in shown.err and "12/8" not in shown.err
+    assert (tmp_path / "out" / "results.jsonl").read_bytes() == before, "the results of more draws are kept"
+    main([*command, "--draws", "4"])
+    assert (tmp_path / "out" / "results.jsonl").read_bytes().startswith(before)
+    assert "16 cases" in capfd.readouterr().out
+
+
 def test_failed_cases_are_named_with_the_command_that_runs_them_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -234,13 +278,13 @@ def test_a_process_that_ends_is_an_error_with_the_remedy() -> None:
         mock.patch.object(runner, "run_group", end_process),
         pytest.raises(HilError, match="run the same command again to go on"),
     ):
-        list(runner.run_cases(campaign(), 0, 2))
+        list(runner.run_cases(prepare(campaign()), 0, 2))
 
 
 def test_the_results_that_wait_are_few_however_many_cases_there_are() -> None:
     many = campaign(TEXT.replace("draws = 2", "draws = 1000000"))
     with mock.patch.object(runner, "ProcessPoolExecutor") as pool:
-        results = runner.run_cases(many, 0, 2)
+        results = runner.run_cases(prepare(many), 0, 2)
         submit = pool.return_value.submit
         assert submit.call_count == 8
         for number in range(5):
@@ -257,7 +301,7 @@ def result(number: int, verdict: str = "pass", periods: int | None = 3) -> CaseR
 def test_tables_have_one_row_for_each_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import pyarrow.parquet as pq
 
-    folder = ResultFolder(tmp_path / "results", TEXT)
+    folder = ResultFolder(tmp_path / "results", TEXT, 25)
     folder.append(result(number, periods=None if number else 3) for number in range(25))
     monkeypatch.setattr(result_files, "_ROWS_AT_ONCE", 10)
     table = pq.read_table(folder.write_table())
@@ -278,7 +322,7 @@ def test_failed_cases_are_worse_than_slow_ones() -> None:
 def test_a_folder_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(HilError, match="cannot be created: Not a directory; see --output"):
-        ResultFolder(tmp_path / "file" / "results", TEXT)
+        ResultFolder(tmp_path / "file" / "results", TEXT, 8)
 
 
 def test_the_summary_has_the_worst_of_each_fault_and_the_first_failures() -> None:

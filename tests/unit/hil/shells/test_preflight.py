@@ -108,7 +108,7 @@ class TestArming:
         found = check_named(preflight(rig), "controller vertical")
         assert found.verdict is CheckVerdict.MISSING
         assert found.found.startswith("horizontal: the closed loop with the plant of the file")
-        assert load_setup(rig, {}, {}).controller_failures() == {"vertical": found.found}
+        assert load_setup(rig, {}, {}).controller_failures == {"vertical": found.found}
 
     @pytest.mark.parametrize(
         ("required", "bus", "missing"),
