@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hil.cli.operate import add_socket_option
 from hil.core.errors import DocumentError
-from hil.host.command_parser import CommandParser
+from hil.host.command_parser import CommandParser, number
 from hil.live.address import add_address_options, open_address
 
 DESCRIPTION = """\
@@ -21,7 +21,21 @@ def parser() -> CommandParser:
     """Return the parser of the arguments of ``hil live``."""
     command = CommandParser(prog="hil live", description=DESCRIPTION)
     command.add_argument(
-        "recording", type=Path, nargs="?", metavar="FILE", help="recording to play, instead of a daemon"
+        "recording",
+        type=Path,
+        nargs="*",
+        metavar="FILE",
+        help="recording to play, instead of a daemon: a file, all files of a run, or their folder",
+    )
+    command.add_argument(
+        "--from",
+        dest="from_s",
+        type=number,
+        metavar="S",
+        help="play from this time on (default: begin)",
+    )
+    command.add_argument(
+        "--to", dest="to_s", type=number, metavar="S", help="play up to this time (default: end)"
     )
     command.add_argument("--operate", action="store_true", help="let the page operate the daemon")
     add_socket_option(command)
@@ -38,11 +52,15 @@ def main(argv: list[str]) -> int:
     if options.foxglove is not None:
         process, url = start_foxglove_server(_feed_of_daemon(options), options.host, options.foxglove)
     else:
-        feed = None if options.recording is not None else _feed_of_daemon(options)
+        feed = None if options.recording else _feed_of_daemon(options)
         operator_socket = _socket(options) if options.operate else None
         with open_address(options.host, options.port) as address:
             process = start_page_server(
-                address, feed=feed, recording=options.recording, operator_socket=operator_socket
+                address,
+                feed=feed,
+                recording=options.recording or None,
+                range_s=(options.from_s, options.to_s),
+                operator_socket=operator_socket,
             )
         url = address.url
     sys.stdout.write(f"{url}\nCtrl-C ends the {'stream' if options.foxglove is not None else 'page'}.\n")
@@ -59,15 +77,18 @@ def _check(options: argparse.Namespace) -> None:
 
     if options.operate and options.foxglove is not None:
         raise DocumentError("--operate needs the page; Foxglove only shows. Omit --operate or --foxglove")
-    if options.recording is None:
+    if not options.recording:
+        if options.from_s is not None or options.to_s is not None:
+            raise DocumentError("--from and --to are times of a recording: give its FILE, or omit them")
         return
     if options.operate:
         raise DocumentError("--operate needs a daemon; a recording can only be played")
     if options.foxglove is not None:
         raise DocumentError(
-            f"--foxglove serves a run; Foxglove itself opens the recording: open {options.recording} there"
+            f"--foxglove serves a run; Foxglove itself opens the recording: open {options.recording[0]} there"
         )
-    open_recording(options.recording)
+    paths = options.recording
+    open_recording(paths[0] if len(paths) == 1 else paths).between(options.from_s, options.to_s)
 
 
 def _feed_of_daemon(options: argparse.Namespace) -> Path:

@@ -13,6 +13,7 @@ import json
 import mmap
 import os
 import tempfile
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,8 @@ LINK_SUFFIX = ".live"
 MAGIC = b"HILLIVE1"
 HISTORY_S = 600.0
 """Time in s that the ring of periods holds, and the longest time that the page shows."""
+STALE_AFTER_S = 10.0
+"""Age in s from which on a feed without a lock is removed. A younger one may not have its lock yet."""
 LOG_ENTRIES = 512
 MAX_TEXT_BYTES = 2000
 """Longest source or text of a log entry in the feed, in bytes. A longer one is cut off."""
@@ -200,6 +203,7 @@ def link_beside(socket_path: Path) -> Path:
 
 def _new_file(size: int) -> tuple[int, str]:
     """Create a file of ``size`` bytes in shared memory, with a lock; return its descriptor and path."""
+    _remove_stale_files()
     try:
         descriptor, path = tempfile.mkstemp(prefix=PREFIX, dir=FOLDER)
     except OSError as error:
@@ -218,6 +222,17 @@ def _new_file(size: int) -> tuple[int, str]:
     return descriptor, path
 
 
+def _remove_stale_files() -> None:
+    """Remove the feeds of this user whose loops were killed: nobody holds their locks any more."""
+    now_s = time.time()
+    for path in FOLDER.glob(f"{PREFIX}*"):
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            found = os.fstat(file.fileno())
+            if found.st_uid == os.getuid() and now_s - found.st_mtime > STALE_AFTER_S:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+
+
 def _target(link: Path) -> Path | None:
     """Return the path that a link has, or None for a path that is no link."""
     try:
@@ -227,11 +242,7 @@ def _target(link: Path) -> Path | None:
 
 
 def _replace_link(link: Path, path: Path) -> None:
-    """Put a link to ``path``. Remove the file of a daemon that was killed, to which the link pointed."""
-    stale = _target(link)
-    if stale is not None and stale.parent == FOLDER and stale.name.startswith(PREFIX):
-        with contextlib.suppress(OSError):
-            stale.unlink()
+    """Put a link to ``path`` in the place of an older one."""
     hidden = link.with_name(f"{link.name}~")
     hidden.unlink(missing_ok=True)
     hidden.symlink_to(path)

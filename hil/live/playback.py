@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 import numpy as np
 
+from hil.core.errors import RecordingError
 from hil.live.feed_file import HISTORY_S
 from hil.live.history import Rows
 from hil.live.readings import readings
@@ -23,9 +24,9 @@ READINGS_INTERVAL_S = 0.5
 class Playback:
     """A recording as rows, in memory once for all viewers."""
 
-    def __init__(self, path: str) -> None:
-        """Read the recording. Raises RecordingError."""
-        recording = open_recording(path)
+    def __init__(self, paths: Sequence[Path], from_s: float | None = None, to_s: float | None = None) -> None:
+        """Read a range of a recording: a file, all files of a run, or their folder. Raises RecordingError."""
+        recording = open_recording(paths[0] if len(paths) == 1 else list(paths)).between(from_s, to_s)
         timing = recording.timing()
         self.axes = list(recording.axes.items())
         self.states = [name for _, name in sorted(recording.state_names.items())]
@@ -44,7 +45,10 @@ class Playback:
             (recording.seconds(entry.now_ns), int(entry.entry.severity), entry.entry.source, entry.entry.text)
             for entry in recording.log()
         ]
-        self.duration_s = float(self.rows[-1, 0]) if len(self.rows) else 0.0
+        if len(self.rows) == 0:
+            raise RecordingError(f"{paths[0]}: no period to play in this range")
+        self.begin_s, self.end_s = float(self.rows[0, 0]), float(self.rows[-1, 0])
+        """Times of the first and the last period, in seconds from the first recorded one."""
         documents = recording.documents
         controllers = {
             name: _name_of(documents[f"controllers/{name}.json"])
@@ -54,16 +58,20 @@ class Playback:
         digest = hashlib.sha256(documents.get("rig.toml", "").encode()).hexdigest()
         self.information = {
             "axes": self.axes,
-            "period_s": float(np.median(np.diff(self.rows[:, 0]))) if len(self.rows) > 1 else 0.0112,
+            "period_s": float(np.median(np.diff(self.rows[:, 0]))) if len(self.rows) > 1 else 0.01,
             "states": self.states,
             "rig": f"rig.toml, SHA-256 {digest[:12]}",
             "bus": "recorded",
-            "controllers": controllers,
-            "recording": Path(path).name,
             "start_ns": 0,
             "epoch_offset_ns": 0,
         }
-        self.counts = {"messages dropped while recording": recording.messages_dropped}
+        self.status = {
+            "counts": {"messages dropped while recording": recording.messages_dropped},
+            "fault": None,
+            "readiness": "",
+            "controllers": controllers,
+            "recording": ", ".join(path.name for path in paths),
+        }
 
 
 class PlaybackSource:
@@ -73,7 +81,7 @@ class PlaybackSource:
         self._playback = playback
         self._speed = 1.0
         self._is_paused = False
-        self._position_s = 0.0
+        self._position_s = playback.begin_s
         self._read_at_s = monotonic()
         self._next_row = 0
         self._next_log = 0
@@ -88,9 +96,10 @@ class PlaybackSource:
                 "run": playback.information,
                 "mode": "recording",
                 "may_operate": False,
-                "duration_s": playback.duration_s,
+                "begin_s": playback.begin_s,
+                "end_s": playback.end_s,
             },
-            {"status": {"counts": playback.counts, "fault": None, "readiness": ""}},
+            {"status": playback.status},
         ]
 
     def take(self) -> tuple[list[dict[str, Any]], Rows]:
@@ -99,7 +108,7 @@ class PlaybackSource:
         now_s = monotonic()
         if not self._is_paused:
             passed_s = (now_s - self._read_at_s) * self._speed
-            self._position_s = min(self._position_s + passed_s, playback.duration_s)
+            self._position_s = min(self._position_s + passed_s, playback.end_s)
         self._read_at_s = now_s
         end = int(np.searchsorted(playback.rows[:, 0], self._position_s, side="right"))
         rows = playback.rows[self._next_row : end]
@@ -136,8 +145,10 @@ class PlaybackSource:
     def _seek(self, position_s: float) -> None:
         """Go to a time; what is on the page begins anew, with the ten minutes before that time."""
         playback = self._playback
-        if not 0.0 <= position_s <= playback.duration_s:
-            raise ValueError(f"{position_s:g} s is not between 0 and {playback.duration_s:g} s")
+        if not playback.begin_s <= position_s <= playback.end_s:
+            raise ValueError(
+                f"{position_s:g} s is not between {playback.begin_s:g} s and {playback.end_s:g} s"
+            )
         self._position_s = position_s
         self._read_at_s = monotonic()
         self._next_row = int(np.searchsorted(playback.rows[:, 0], position_s - HISTORY_S))

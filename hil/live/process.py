@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from hil.core.errors import EnvironmentLackError
@@ -18,20 +19,22 @@ def start_page_server(
     address: Address,
     *,
     feed: Path | None = None,
-    recording: Path | None = None,
+    recording: Sequence[Path] | None = None,
+    range_s: tuple[float | None, float | None] = (None, None),
     operator_socket: Path | None = None,
 ) -> subprocess.Popen[bytes]:
     """Start the process that serves the page at ``address``.
 
-    It reads the feed of a run from the file ``feed``, or plays ``recording``. With ``operator_socket``, the
-    page may operate the daemon that has that socket.
+    It reads the feed of a run from the file ``feed``, or plays the files of ``recording`` between the two
+    times of ``range_s``. With ``operator_socket``, the page may operate the daemon that has that socket.
     """
     options = {
         "listen": address.listener.fileno(),
         "hosts": address.hosts,
         "token": address.token,
         "feed": None if feed is None else str(feed),
-        "recording": None if recording is None else str(recording),
+        "recording": None if recording is None else [str(path) for path in recording],
+        "range_s": range_s,
         "operate": None if operator_socket is None else str(operator_socket),
     }
     read_end, write_end = os.pipe()

@@ -244,7 +244,7 @@ def serve(options: dict[str, Any]) -> None:
     if options["recording"] is not None:
         from hil.live.playback import Playback, PlaybackSource
 
-        playback = Playback(options["recording"])
+        playback = Playback([Path(name) for name in options["recording"]], *options["range_s"])
         app = application(options["hosts"], options["token"], lambda: PlaybackSource(playback))
         update = partial(_update_viewers, app)
     else:

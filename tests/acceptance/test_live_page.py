@@ -23,7 +23,8 @@ pytestmark = pytest.mark.real_time
 
 HIL = [sys.executable, "-m", "hil.cli"]
 PHONE = {"width": 390, "height": 844}
-LAPTOP = {"width": 1366, "height": 900}
+LAPTOP = {"width": 1366, "height": 768}
+TALL = {"width": 1366, "height": 1600}
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def page(browser: Browser) -> Iterator[Page]:
 
     The page's content security policy is off: it forbids the expressions that the tests wait for.
     """
-    page = browser.new_page(viewport=LAPTOP, bypass_csp=True)
+    page = browser.new_page(viewport=TALL, bypass_csp=True)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     yield page
@@ -72,11 +73,12 @@ def numbers(values: list[float | None]) -> np.ndarray[Any, Any]:
 
 def contents_of(
     page: Page,
-) -> tuple[np.ndarray[Any, Any], list[tuple[list[int], dict[str, list[float]]]], int]:
-    """Return the rows that the page has, columns and points of its charts, and its time 0 in ns."""
+) -> tuple[np.ndarray[Any, Any], list[tuple[list[int], list[dict[str, list[float]]]]], int]:
+    """Return the rows that the page has, columns and curves of its charts, and its time 0 in ns."""
     width, values, charts, start_ns = page.evaluate(
         """[hilLive.rows.width, Array.from(hilLive.rows.data.slice(0, hilLive.rows.end * hilLive.rows.width)),
-            hilLive.charts.map((chart) => [chart.columns, chart.source.data]), hilLive.run.start_ns]"""
+            hilLive.charts.filter((chart) => chart.isVisible).map((chart) =>
+                [chart.columns, chart.sources.map((source) => source.data)]), hilLive.run.start_ns]"""
     )
     return numbers(values).reshape(-1, width), charts, start_ns
 
@@ -104,12 +106,16 @@ def test_what_is_drawn_is_what_is_recorded(page: Page, tmp_path: Path) -> None:
         columns = rows[:, len(COLUMNS) + 3 * index :][:, :3]
         np.testing.assert_array_equal(columns.T, [axis.setpoint, axis.position, axis.command_v])
     assert len(charts) == 6  # position and valve of three axes
-    for columns, data in charts:
-        times, *curves = (numbers(values) for values in data.values())
-        shown = np.searchsorted(rows[:, 0], times)
-        assert len(shown) > 250
-        np.testing.assert_array_equal(rows[shown, 0], times)
-        np.testing.assert_array_equal(rows[shown][:, columns].T, curves)
+    for columns, curves in charts:
+        for column, curve in zip(columns, curves, strict=True):
+            times, values = numbers(curve["t"]), numbers(curve["v"])
+            shown = np.searchsorted(rows[:, 0], times)
+            np.testing.assert_array_equal(rows[shown, 0], times)
+            np.testing.assert_array_equal(rows[shown, column], values)
+            # Every row that is not a point of the curve lies on it: it repeats the value before it.
+            known = np.searchsorted(times, rows[shown[0] : shown[-1] + 1, 0], side="right") - 1
+            np.testing.assert_array_equal(values[known], rows[shown[0] : shown[-1] + 1, column])
+            assert shown[-1] - shown[0] > 250
 
 
 @pytest.mark.parametrize("viewport", [LAPTOP, PHONE], ids=["laptop", "phone"])
@@ -143,6 +149,7 @@ def test_the_keyboard_pauses_and_chooses_series(page: Page, playing: str) -> Non
     page.keyboard.press("Tab")
     page.keyboard.press("Space")
     assert page.locator("#pause").get_attribute("aria-pressed") == "true"
+    expect(page.locator("#pause")).to_have_text("Play")
     page.locator("#series input[value=error]").focus()
     page.keyboard.press("Space")
     page.wait_for_function("hilLive.charts.length === 9")

@@ -3,9 +3,17 @@
 
 Bokeh.set_log_level("error");  // an empty chart has no range yet, which BokehJS warns of
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
+const FRAME_LEFT = 58;  // pixels from the left edge of a chart to its frame
 // Okabe and Ito's colours, which colour-blind people can tell apart; a lighter blue on a dark ground.
 const COLOURS = () => (DARK.matches ? { measured: "#56b4e9", wanted: "#e69f00" } : { measured: "#0072b2", wanted: "#b35900" });
 const colourOf = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+// BokehJS asks for computed styles at every stroke and text: a third of the time of a picture. Here they never change.
+function omitStyleSheets(view) {
+  const found = [...view.visuals][0], owner = found && Object.getPrototypeOf(Object.getPrototypeOf(found));
+  if (owner && typeof owner._get_css_value === "function") owner._get_css_value = () => "";
+  Object.defineProperty(view, "base_font_size", { value: 13 });
+}
 
 function dress(figure) {
   for (const [key, value] of Object.entries({
@@ -13,30 +21,41 @@ function dress(figure) {
   })) figure[key] = value;
   for (const axis of [...figure.below, ...figure.left]) {
     axis.major_label_text_color = axis.axis_label_text_color = colourOf("--soft");
-    axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = colourOf("--line");
+    axis.minor_tick_line_color = null;
+    axis.axis_line_color = axis.major_tick_line_color = colourOf("--line");
   }
   for (const grid of figure.center) if ("grid_line_color" in grid) grid.grid_line_color = colourOf("--line"), grid.grid_line_alpha = 0.6;
 }
 
+// Draw the figure of `chart` in `parent`, and remove it again: BokehJS keeps a view until it is removed.
+function show_in(chart, parent) {
+  chart.view = Promise.resolve(Bokeh.Plotting.show(chart.figure, parent));
+  chart.view.then(omitStyleSheets);
+}
+function discard(chart) {
+  chart.view.then((view) => view.remove && view.remove());
+}
+
 function makeFigure(options) {
   const figure = new Bokeh.Plotting.Figure({ sizing_mode: "stretch_width", toolbar_location: null, ...options });
-  figure.min_border_left = 58;
+  figure.min_border_left = FRAME_LEFT;
   figure.output_backend = "canvas";
   dress(figure);
   return figure;
 }
 
-// One chart. `lines`: [{name, label, colour, dashed}], `floor`: smallest height of the y axis, in `unit`, so that
-// the noise of a signal at rest does not fill the chart. `onMove` is called when the user zooms or pans.
+// One chart. `lines`: [{label, colour, dashed}], `floor`: smallest height of the y axis, in `unit`, so that the noise
+// of a signal at rest does not fill the chart. `onMove` is called when the user pans, and `onCursor` with the time under
+// the pointer, or null.
 class Chart {
-  constructor(parent, title, unit, lines, floor, onMove) {
+  constructor(parent, title, unit, lines, floor, onMove, onCursor) {
     this.lines = lines;
     this.box = document.createElement("div");
     this.box.className = "chart";
     this.box.innerHTML = `<h3></h3><div></div>`;
     const heading = this.box.firstChild;
     heading.append(title);
-    this.values = lines.map((line) => {
+    this.labels = lines.map((line) => {
       const span = document.createElement("span");
       span.className = line.dashed ? "key dashed" : "key";
       span.style.setProperty("--c", line.colour);
@@ -45,37 +64,40 @@ class Chart {
       return span;
     });
     parent.append(this.box);
-    this.source = new Bokeh.ColumnDataSource({ data: Object.fromEntries([["t", []], ...lines.map((l) => [l.name, []])]) });
     const y_range = new Bokeh.DataRange1d({ min_interval: floor, range_padding: 0.08, only_visible: true });
     const x_range = new Bokeh.Range1d({ start: 0, end: 30 });
     x_range.change.connect(() => { if (!this.isMoving) onMove(x_range.start, x_range.end); });
-    this.figure = makeFigure({ height: 190, x_range, y_range, tools: "xpan,xwheel_zoom,xbox_zoom,crosshair,hover", active_scroll: null });
-    for (const tool of this.figure.toolbar.tools) {
-      if (tool.type !== "HoverTool") continue;
-      tool.mode = "vline";
-      tool.tooltips = [["time", "@t{0.000} s"], ...lines.map((l) => [l.label, `@{${l.name}}{0.0000} ${unit}`])];
-      tool.renderers = [];
-    }
+    this.figure = makeFigure({ height: 200, x_range, y_range, tools: "xpan" });
     this.figure.yaxis.axis_label = unit;
-    const renderers = lines.map((line) => this.figure.line({ field: "t" }, { field: line.name }, {
-      source: this.source, line_color: line.colour, line_width: line.dashed ? 1.6 : 1.8, line_dash: line.dashed ? "dashed" : "solid",
-    }));
-    for (const tool of this.figure.toolbar.tools) if (tool.type === "HoverTool") tool.renderers = [renderers[0]];
-    Bokeh.Plotting.show(this.figure, this.box.lastChild);
+    this.figure.xaxis.axis_label = "time since the start, s";
+    this.sources = lines.map((line) => {
+      const source = new Bokeh.ColumnDataSource({ data: { t: [], v: [] } });
+      this.figure.line({ field: "t" }, { field: "v" }, {
+        source, line_color: line.colour, line_width: line.dashed ? 1.6 : 1.8, line_dash: line.dashed ? "dashed" : "solid",
+      });
+      return source;
+    });
+    this.cursor = new Bokeh.Span({ dimension: "height", location: 0, visible: false, line_color: colourOf("--ink"), line_width: 1.5 });
+    this.figure.add_layout(this.cursor);
+    for (const name of ["mousemove", "tap"]) this.figure.on_event(name, (event) => onCursor(event.x));
+    this.figure.on_event("mouseleave", () => onCursor(null));
+    show_in(this, this.box.lastChild);
   }
+  remove() { discard(this); }
   // Show the times from `start` to `end`.
   move(start, end) {
     this.isMoving = true;
     this.figure.x_range.setv({ start, end });
     this.isMoving = false;
   }
-  // `columns`: one array for each line.
-  draw(t, columns) {
-    const data = { t };
-    this.lines.forEach((line, i) => { data[line.name] = columns[i]; });
-    this.source.data = data;
+  // `curves`: times `t` and values `v` of each line.
+  draw(curves) { curves.forEach((curve, i) => { this.sources[i].data = curve; }); }
+  // Mark the time of the cursor; null: there is none.
+  mark(t) {
+    if (t === null) { if (this.cursor.visible) this.cursor.visible = false; return; }
+    this.cursor.setv({ location: t, visible: true });
   }
-  label(values) { this.values.forEach((span, i) => { span.textContent = `${this.lines[i].label} ${values[i]}`; }); }
+  label(values) { this.labels.forEach((span, i) => { span.textContent = `${this.lines[i].label} ${values[i]}`; }); }
 }
 
 class Histogram {
@@ -85,8 +107,9 @@ class Histogram {
     this.figure.xaxis.axis_label = `${title}, ms`;
     this.figure.yaxis.axis_label = "periods";
     this.figure.quad({ field: "left" }, { field: "right" }, 0, { field: "top" }, { source: this.source, fill_color: COLOURS().measured, line_color: null });
-    Bokeh.Plotting.show(this.figure, parent);
+    show_in(this, parent);
   }
+  remove() { discard(this); }
   draw(values) {
     const sorted = Float64Array.from(values).sort();
     if (!sorted.length) return;

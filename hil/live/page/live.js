@@ -28,32 +28,42 @@ class Rows {
     return low;
   }
   get last() { return this.end ? this.at(this.end - 1, 0) : 0; }
-  // Time and columns between two rows. Of more than `points` rows, every pair of points is the lowest and highest
-  // value of its part of the time, so that no peak is lost.
-  cut(from, to, columns, points) {
-    const stride = Math.max(1, Math.floor((2 * (to - from)) / points));
-    const t = [], out = columns.map(() => []);
-    if (stride < 2) {
-      for (let row = from; row < to; row += 1) { t.push(this.at(row, 0)); columns.forEach((c, i) => out[i].push(this.at(row, c))); }
-      return [t, out];
+  // Times and values between two rows, for one line of a chart. `value(row)` returns the value of a row. Of more
+  // than `points` rows, every pair of points is the lowest and highest value of its part of the time, so that no
+  // peak is lost. A point between two of the same value is left out, because the line is the same without it.
+  cut(from, to, value, points) {
+    const stride = Math.max(1, Math.ceil((2 * (to - from)) / points)), t = [], v = [];
+    const add = (row, x) => {
+      const n = v.length;
+      if (n > 1 && v[n - 1] === x && v[n - 2] === x) t[n - 1] = this.at(row, 0);
+      else { t.push(this.at(row, 0)); v.push(x); }
+    };
+    if (stride < 3) {
+      for (let row = from; row < to; row += 1) add(row, value(row));
+      return { t, v };
     }
     const first = Math.floor(from / stride) * stride;  // parts stay where they are while time goes on
     for (let row = first; row < to; row += stride) {
-      const a = Math.max(row, from), b = Math.min(row + stride, to);
-      t.push(this.at(a, 0), this.at(b - 1, 0));
-      columns.forEach((c, i) => {
-        let low = Infinity, high = -Infinity, lowAt = a, highAt = a;
-        for (let k = a; k < b; k += 1) { const v = this.at(k, c); if (v < low) { low = v; lowAt = k; } if (v > high) { high = v; highAt = k; } }
-        if (low === Infinity) low = high = NaN;
-        out[i].push(lowAt <= highAt ? low : high, lowAt <= highAt ? high : low);
-      });
+      let low = Infinity, high = -Infinity, lowAt = -1, highAt = -1;
+      for (let k = Math.max(row, from); k < Math.min(row + stride, to); k += 1) {
+        const x = value(k);
+        if (x < low) { low = x; lowAt = k; }
+        if (x > high) { high = x; highAt = k; }
+      }
+      if (lowAt < 0) add(Math.max(row, from), NaN);
+      else if (lowAt === highAt) add(lowAt, low);
+      else if (lowAt < highAt) { add(lowAt, low); add(highAt, high); }
+      else { add(highAt, high); add(lowAt, low); }
     }
-    return [t, out];
+    if (to > from) add(to - 1, value(to - 1));
+    return { t, v };
   }
 }
 
 const live = window.hilLive = { rows: null, run: null, charts: [], delays_ms: [], received: 0, drawn: 0, last: null };
-let socket = null, isPaused = false, isDirty = false, mayOperate = false, isOver = false, view = [0, 30], histograms = null;
+const DRAW_MS = 50, LABEL_MS = 200;  // 20 pictures and 5 values a second
+let socket = null, isPaused = false, isDirty = false, mayOperate = false, isOver = false, isRecording = false;
+let view = [0, 30], cursor_s = null, histograms = null, drawn_ms = 0, labelled_ms = 0;
 
 function connect() {
   socket = new WebSocket(`ws://${location.host}/stream${location.search}`);
@@ -67,7 +77,7 @@ function connect() {
 
 function take(message) {
   if (message.run) begin(message);
-  if (message.clear) { live.rows.clear(); byId("log").replaceChildren(); }
+  if (message.clear) { live.rows.clear(); next_row_s = -Infinity; byId("log").replaceChildren(); }
   if (message.log) message.log.forEach(addLogEntry);
   if (message.status) setStatus(message.status);
   if (message.bus) setCounts("bus", message.bus);
@@ -91,11 +101,10 @@ function begin(message) {
   if (isSame) { live.rows.clear(); return; }
   live.run = run;
   live.rows = new Rows(FIXED + 3 * run.axes.length, Math.ceil(HISTORY_S / run.period_s));
-  const controllers = Object.entries(run.controllers).map(([axis, name]) => `${axis}: ${name}`).join(", ");
-  byId("facts").textContent = [run.bus && `bus ${run.bus}`, run.rig && `rig ${run.rig}`, controllers, run.recording && `recording ${run.recording}`].filter(Boolean).join(" · ");
+  isRecording = message.mode === "recording";
   buildSeries();
   buildCharts();
-  if (message.mode === "recording") buildPlayer(message.duration_s);
+  if (isRecording) buildPlayer(message);
   if (mayOperate) buildOperator();
 }
 
@@ -117,10 +126,24 @@ function buildSeries() {
   Object.entries(KINDS).forEach(([key, text]) => add("kind", key, text, key !== "error"));
 }
 
+// A chart outside the window is not drawn; it is drawn as soon as it comes into the window.
+const visibility = new IntersectionObserver((entries) => entries.forEach(({ target, isIntersecting }) => {
+  target.chart.isVisible = isIntersecting;
+  if (isIntersecting && target.chart.isStale) { target.chart.isStale = false; isDirty = true; }
+}), { rootMargin: "50px" });
+function watchVisibility(chart) {
+  chart.isVisible = false;
+  chart.isStale = true;
+  chart.box.chart = chart;
+  visibility.observe(chart.box);
+}
+
 const chosen = (group) => [...document.querySelectorAll(`#series input[data-group=${group}]:checked`)].map((input) => input.value);
 
 function buildCharts() {
   const place = byId("charts"), colours = COLOURS();
+  visibility.disconnect();
+  live.charts.forEach((chart) => chart.remove());
   place.replaceChildren();
   live.charts = [];
   const floors = { m: 0.01, rad: 0.03 };  // many times the resolution of the potentiometers
@@ -128,51 +151,77 @@ function buildCharts() {
   for (const kind of kinds) {
     live.run.axes.forEach(([name, unit], i) => {
       if (!wanted.includes(name)) return;
-      const r = FIXED + 3 * i, y = r + 1, v = r + 2;
+      const r = FIXED + 3 * i, y = r + 1, v = r + 2, column = (c) => (row) => live.rows.at(row, c);
       const [lines, columns, of, floor] = {
-        position: [[{ name: "r", label: "setpoint", colour: colours.wanted, dashed: true }, { name: "y", label: "measured", colour: colours.measured }], [r, y], unit, floors[unit]],
-        error: [[{ name: "e", label: "setpoint − measured", colour: colours.measured }], [r], unit, floors[unit]],
-        valve: [[{ name: "v", label: "command", colour: colours.measured }], [v], "V", 0.2],
+        position: [[{ label: "setpoint", colour: colours.wanted, dashed: true }, { label: "measured", colour: colours.measured }], [r, y], unit, floors[unit]],
+        error: [[{ label: "setpoint − measured", colour: colours.measured }], [r, y], unit, floors[unit]],
+        valve: [[{ label: "command", colour: colours.measured }], [v], "V", 0.2],
       }[kind];
-      const chart = new Chart(place, `${name}, ${KINDS[kind]}`, of, lines, floor, moved);
-      Object.assign(chart, { kind, columns, error: kind === "error" ? [r, y] : null, digits: kind === "valve" ? 3 : 4 });
+      const chart = new Chart(place, `${name}, ${KINDS[kind]}`, of, lines, floor, moved, setCursor);
+      watchVisibility(chart);
+      const values = kind === "error" ? [(row) => live.rows.at(row, r) - live.rows.at(row, y)] : columns.map(column);
+      Object.assign(chart, { kind, columns, values, digits: kind === "valve" ? 3 : 4 });
       live.charts.push(chart);
     });
   }
+  if (histograms) histograms.forEach((histogram) => histogram.remove());
   byId("lateness").replaceChildren();
   byId("response").replaceChildren();
   histograms = [new Histogram(byId("lateness"), "lateness of SYNC"), new Histogram(byId("response"), "from SYNC to the command")];
   isDirty = true;
 }
 
-function draw() {
-  if (isDirty && live.rows && live.rows.length) {
+function draw(now_ms) {
+  requestAnimationFrame(draw);
+  if (isDirty && live.rows && live.rows.length && now_ms - drawn_ms > DRAW_MS - 4) {
     isDirty = false;
+    drawn_ms = now_ms;
     const rows = live.rows, span = Number(byId("span").value);
     if (!isPaused) {
       const start = Math.max(rows.last - span, rows.at(rows.begin, 0));
       view = [start, start + span];
     }
     const from = Math.max(rows.find(view[0]) - 1, rows.begin), to = Math.min(rows.find(view[1]) + 1, rows.end);
-    const points = Math.min(1600, 2 * (byId("charts").clientWidth || 800));
+    const hasLabels = now_ms - labelled_ms > LABEL_MS;
+    if (hasLabels) labelled_ms = now_ms;
     for (const chart of live.charts) {
-      let [t, columns] = rows.cut(from, to, chart.error || chart.columns, points);
-      if (chart.error) columns = [columns[0].map((value, i) => value - columns[1][i])];
-      chart.draw(t, columns);
+      if (!chart.isVisible) { chart.isStale = true; continue; }
+      const points = chart.box.clientWidth - FRAME_LEFT;  // one for each pixel of the time axis
+      chart.draw(chart.values.map((value) => rows.cut(from, to, value, points)));
       chart.move(...view);
-      const last = columns.map((column) => show(column[column.length - 1], chart.digits));
-      chart.label(last);
+      if (hasLabels) label(chart);
     }
     setState(live.run.states[rows.at(rows.end - 1, 3)]);
     live.drawn = live.received;
     live.last = Array.from(rows.data.subarray((rows.end - 1) * rows.width, rows.end * rows.width));
-    const sampled_ms = (live.run.start_ns + live.run.epoch_offset_ns) / 1e6 + 1000 * rows.last;
-    requestAnimationFrame(() => {  // after the charts of this frame have been painted
-      live.delays_ms.push(Date.now() - sampled_ms);
-      if (live.delays_ms.length > 2000) live.delays_ms.splice(0, 1000);
-    });
+    noteDelays(rows);
   }
-  requestAnimationFrame(draw);
+}
+
+// Note the time from sampled to drawn, in ms, of each row that is drawn for the first time.
+let next_row_s = -Infinity;
+function noteDelays(rows) {
+  const zero_ms = (live.run.start_ns + live.run.epoch_offset_ns) / 1e6, first = rows.find(next_row_s), end = rows.end;
+  const sampled_ms = Array.from({ length: Math.min(end - first, 100) }, (_, k) => zero_ms + 1000 * rows.at(end - 1 - k, 0));
+  next_row_s = rows.last + 1e-6;
+  requestAnimationFrame(() => {  // after the charts of this frame have been painted
+    const now_ms = Date.now();
+    for (const at_ms of sampled_ms) live.delays_ms.push(now_ms - at_ms);
+    if (live.delays_ms.length > 5000) live.delays_ms.splice(0, 2500);
+  });
+}
+
+// Values of a chart: those at the cursor, or the last ones.
+function label(chart) {
+  const { rows } = live;
+  const row = cursor_s === null ? rows.end - 1 : Math.min(Math.max(rows.find(cursor_s), rows.begin), rows.end - 1);
+  chart.label(chart.values.map((value) => show(value(row), chart.digits)));
+  chart.mark(cursor_s === null ? null : rows.at(row, 0));
+}
+function setCursor(t) {
+  cursor_s = t;
+  byId("cursor").textContent = t === null ? "" : `cursor ${t.toFixed(3)} s`;
+  if (live.rows && live.rows.length) live.charts.filter((chart) => chart.isVisible).forEach(label);
 }
 
 setInterval(() => {
@@ -197,7 +246,10 @@ function setState(text, kind = text) {
   document.title = `${text} · hil live`;
 }
 
-function setStatus({ counts = {}, fault, readiness }) {
+function setStatus({ counts = {}, fault, readiness, controllers = {}, recording }) {
+  const { run } = live, used = Object.entries(controllers).map(([axis, name]) => `${axis}: ${name}`).join(", ");
+  const facts = [`bus ${run.bus}`, `rig ${run.rig}`, used && `controllers ${used}`, recording ? `recording ${recording}` : "not recorded"];
+  byId("facts").textContent = facts.filter(Boolean).join(" · ");
   byId("fault").hidden = !fault;
   if (fault) byId("fault").textContent = `Fault. ${fault}`;
   const entries = Object.entries({ ...counts, ...(readiness ? { boards: readiness } : {}) });
@@ -249,18 +301,13 @@ function addLogEntry([time_s, severity, source, text]) {
 
 // Player of a recording
 
-function buildPlayer(duration_s) {
+function buildPlayer({ begin_s, end_s }) {
   byId("player").hidden = false;
   const slider = byId("position");
-  slider.max = duration_s;
+  slider.min = begin_s;
+  slider.max = end_s;
   slider.addEventListener("input", () => send({ seek_s: Number(slider.value) }));
   byId("speed").addEventListener("change", (event) => send({ speed: Number(event.target.value) }));
-  byId("play").addEventListener("click", (event) => {
-    const isPlaying = event.target.getAttribute("aria-pressed") === "true";
-    event.target.setAttribute("aria-pressed", String(!isPlaying));
-    event.target.textContent = isPlaying ? "Play recording" : "Pause recording";
-    send({ paused: isPlaying });
-  });
 }
 function setPosition(position_s) {
   const slider = byId("position");
@@ -306,21 +353,74 @@ function showReply({ accepted, text }) {
   box.textContent = text;
   box.className = accepted ? "reply" : "reply refused";
 }
-function send(message) { if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); }
+function send(message) {
+  if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+  else showReply({ accepted: false, text: "not sent: the page has no connection to its server" });
+}
 
-byId("pause").addEventListener("click", (event) => {
-  isPaused = !isPaused;
-  event.target.setAttribute("aria-pressed", String(isPaused));
-  event.target.textContent = isPaused ? "Follow" : "Pause";
+// One button: it holds the view, and a recording with it.
+function pause(wanted) {
+  if (wanted === isPaused) return;
+  isPaused = wanted;
+  const button = byId("pause");
+  button.setAttribute("aria-pressed", String(isPaused));
+  button.textContent = isPaused ? (isRecording ? "Play" : "Follow") : "Pause";
+  if (isRecording) send({ paused: isPaused });
+  if (!isPaused) setCursor(null);
   isDirty = true;
-});
+}
+byId("pause").addEventListener("click", () => pause(!isPaused));
 byId("span").addEventListener("change", () => { isDirty = true; });
 DARK.addEventListener("change", () => live.run && buildCharts());
 // Zooming and panning pause the view; all charts move together.
 function moved(start, end) {
-  if (!isPaused) byId("pause").click();
+  pause(true);
   view = [start, end];
   isDirty = true;
 }
+
+// Zoom by `factor` about the time `at_s`, which stays where it is.
+function zoom(factor, at_s = (view[0] + view[1]) / 2) {
+  const width = Math.min(Math.max((view[1] - view[0]) * factor, 0.05), HISTORY_S);
+  const begin = at_s - (at_s - view[0]) / (view[1] - view[0]) * width;
+  moved(begin, begin + width);
+}
+byId("zoom-in").addEventListener("click", () => zoom(0.5));
+byId("zoom-out").addEventListener("click", () => zoom(2));
+// The wheel alone scrolls the page; with Ctrl it zooms about the pointer.
+byId("charts").addEventListener("wheel", (event) => {
+  const box = event.target.closest(".chart");
+  if (!event.ctrlKey || !box || !live.rows || !live.rows.length) return;
+  event.preventDefault();
+  const { left, width } = box.getBoundingClientRect();
+  const share = Math.min(Math.max((event.clientX - left - FRAME_LEFT) / (width - FRAME_LEFT), 0), 1);
+  zoom(event.deltaY > 0 ? 1.25 : 0.8, view[0] + share * (view[1] - view[0]));
+}, { passive: false });
+
+// Keys of the charts: arrows pan, plus and minus zoom, shift and arrows move the cursor, End goes on.
+function moveCursor(direction) {
+  const { rows } = live, row = cursor_s === null ? rows.find(view[1]) - 1 : rows.find(cursor_s);
+  pause(true);
+  const next = Math.min(Math.max(row + direction, rows.begin), rows.end - 1);
+  setCursor(rows.at(next, 0));
+  const width = view[1] - view[0];
+  if (cursor_s < view[0] || cursor_s > view[1]) view = [cursor_s - width / 2, cursor_s + width / 2];
+  isDirty = true;
+}
+byId("charts").addEventListener("keydown", (event) => {
+  if (!live.rows || !live.rows.length) return;
+  const [start, end] = view, width = end - start, right = event.key === "ArrowRight" ? 1 : -1;
+  if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
+    if (event.shiftKey) moveCursor(right * (event.ctrlKey ? 20 : 1));
+    else moved(start + right * width / 10, end + right * width / 10);
+  } else if (event.key === "+" || event.key === "=") zoom(0.5);
+  else if (event.key === "-") zoom(2);
+  else if (event.key === "End") pause(false);
+  else return;
+  event.preventDefault();
+});
+document.addEventListener("keydown", (event) => {
+  if (event.key === "Escape" && mayOperate) byId("stop").click();
+});
 connect();
 requestAnimationFrame(draw);

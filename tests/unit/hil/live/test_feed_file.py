@@ -56,22 +56,29 @@ def test_a_daemon_puts_a_link_beside_its_socket(tmp_path: Path) -> None:
     assert not link.is_symlink()
 
 
-def test_the_file_of_a_daemon_that_was_killed_is_removed_by_the_next_one(tmp_path: Path) -> None:
+def test_a_daemon_takes_the_place_of_one_that_was_killed(tmp_path: Path) -> None:
     link = tmp_path / "daemon.sock.live"
-    stale = make_feed(link=link)
+    killed = make_feed(link=link)
     feed = make_feed(link=link)
-    assert not stale.path.exists() and link.readlink() == feed.path
-    stale.close()
+    assert link.readlink() == feed.path
+    killed.close()
     assert link.readlink() == feed.path  # the link of the present daemon is left alone
     feed.close()
 
 
-def test_a_link_to_another_file_removes_nothing(tmp_path: Path) -> None:
-    precious, link = tmp_path / "precious", tmp_path / "daemon.sock.live"
-    precious.write_text("kept")
-    link.symlink_to(precious)
-    make_feed(link=link).close()
-    assert precious.read_text() == "kept"
+def test_the_feeds_of_loops_that_were_killed_are_removed_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feed_file, "FOLDER", tmp_path)
+    killed, young, other = (tmp_path / name for name in ("hil-live-1", "hil-live-2", "other"))
+    for path in (killed, young, other):
+        path.write_bytes(b"")
+    running = make_feed()
+    for path in (killed, other, running.path):
+        os.utime(path, (1.0, 1.0))
+    make_feed().close()
+    assert sorted(tmp_path.iterdir()) == sorted([young, other, running.path])
+    running.close()
 
 
 def test_no_feed_is_reported_with_the_path(tmp_path: Path) -> None:

@@ -30,11 +30,11 @@ def clock() -> mock.Mock:
 @pytest.fixture
 def source(recorded: Path, clock: mock.Mock, monkeypatch: pytest.MonkeyPatch) -> PlaybackSource:
     monkeypatch.setattr(playback, "monotonic", clock)
-    return PlaybackSource(Playback(str(recorded)))
+    return PlaybackSource(Playback([recorded]))
 
 
 def test_rows_are_those_of_the_recording(recorded: Path) -> None:
-    rows = Playback(str(recorded)).rows
+    rows = Playback([recorded]).rows
     axis = hil.open_recording(recorded).axis("vertical")
     np.testing.assert_array_equal(
         rows[:, len(COLUMNS) : len(COLUMNS) + 3].T, [axis.setpoint, axis.position, axis.command_v]
