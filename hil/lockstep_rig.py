@@ -67,8 +67,8 @@ class LockstepRig:
         and replace those of the rig file; a set-up has its own. ``plant`` is what the boards are wired to. By
         default it is the pneumatic arm, with ``seed`` for the noise of its potentiometers. ``faults`` are
         texts such as ``lose:sample,5@2``, or documents of ``firmware_sim.faults.kinds``. Their times count
-        from the first sample. ``bit_rate`` in bit/s, or else ``bus.bit_rate`` of the rig file, gives the rig a
-        modelled bus, on which frames take time and wait. Raises DocumentError or SetpointError.
+        from the first sample. ``bit_rate`` in bit/s, or else ``bus.bit_rate`` of the rig file, gives the rig
+        a modelled bus, on which frames take time and wait. Raises DocumentError or SetpointError.
         """
         from firmware_sim.arm.arm import Arm
         from firmware_sim.arm.arm_file import shipped_arm
