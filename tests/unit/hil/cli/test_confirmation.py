@@ -32,6 +32,8 @@ def setup() -> RunSetup:
         ("vcan0", False),
         ("socketcan:vcan1", False),
         ("udp:43113", False),
+        ("inproc:x", False),
+        ("mycan", True),
         ("can0", True),
         ("socketcan:can0", True),
         ("slcan:/dev/ttyACM0", True),
