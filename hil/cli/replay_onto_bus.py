@@ -18,12 +18,13 @@ from hil.host.realtime_rights import Rights, real_time_rights
 from hil.links import open_link
 from hil.recording import open_recording
 from hil.recording.reader import Recording
+from hil.shells.bus_guard import sole_gateway
 from hil.shells.bus_replay import BusReplay, Schedule, Side, centre_after, fresh_samples, schedule_of
+from hil.shells.real_bus import is_real
 from hil.shells.run_plan import CENTRING_PERIODS, StopRequest
 
 INTERRUPTED = 130
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_NETWORK = Path("/sys/class/net")
 
 
 def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
@@ -40,7 +41,9 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
     rig = _rig_of(recording) if side is Side.GATEWAY else None
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(open_link(options.bus))
-        if not is_virtual(options.bus) and not options.yes:
+        if rig is not None:
+            stack.enter_context(sole_gateway(link, rig.heartbeat_periods * rig.loop.period_s))
+        if is_real(options.bus) and not options.yes:
             _confirm(options.bus, side, schedule, recording)
         stop = stack.enter_context(_stop_on_signals())
         replay = BusReplay(
@@ -69,14 +72,6 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
     if stop.is_set and not options.loop:
         return INTERRUPTED
     return 0 if (is_whole or options.loop) and replay.refused == 0 else 1
-
-
-def is_virtual(bus: str) -> bool:
-    """Return True for a bus without wires: a vcan interface, or UDP and in-process buses of this host."""
-    interface = bus.removeprefix("socketcan:")
-    if interface.startswith(("udp:", "inproc:")):
-        return True
-    return interface.startswith("vcan") and not (_NETWORK / interface / "device").exists()
 
 
 def _rig_of(recording: Recording) -> Rig:

@@ -1,6 +1,7 @@
 """The server of the daemon's clients. It runs in the socket process.
 
-What takes long to check, such as a controller, is checked here before the loop gets it.
+What takes long to check, such as a controller, is checked here before the loop gets it. This is done in a
+thread, so that a stop need not wait for the controllers of other clients.
 A connection has one request under way at a time, so that at most ``MAX_CONNECTIONS`` requests wait for the
 loop. Whoever sends faster is read more slowly.
 """
@@ -80,6 +81,8 @@ class Server:
         self._number = time.monotonic_ns()  # later than every number of a server that ran before
         self._places = Places(MAX_CONNECTIONS)
         self._refusing = 0
+        self._is_checking = asyncio.Lock()
+        """Held during a check in another thread, so that no more than one takes processor time."""
         self._status: Status | None = None
         self._log: deque[tuple[int, LogLine]] = deque(maxlen=LOG_LINES)
         self._log_count = 0
@@ -229,7 +232,10 @@ class Server:
                 return Answer(id=call.id, accepted=False, text="the daemon has not begun its first period")
             return Answer(id=call.id, accepted=True, text=self._status.state, status=self._status)
         try:
-            prepared = self._check(call)
+            prepared = None
+            if isinstance(call, EventCall | ControllerCall | SetpointCall):
+                async with self._is_checking:
+                    prepared = await asyncio.to_thread(self._check, call)
         except HilError as error:
             self._log_refusal(asked_by, str(error))
             return Answer(id=call.id, accepted=False, text=str(error))
@@ -249,7 +255,7 @@ class Server:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._has_loop_ended.wait(), call.interval_s)
 
-    def _check(self, call: LoopCall) -> Prepared | None:
+    def _check(self, call: EventCall | ControllerCall | SetpointCall) -> Prepared | None:
         """Check what takes long to check, and return a controller or a table that was read.
 
         Raises HilError.

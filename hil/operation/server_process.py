@@ -47,13 +47,26 @@ def main(arguments: list[str]) -> None:
         child = os.fork()
         if child == 0:
             _serve(listener, pipe, facts)
-        _, status = os.waitpid(child, 0)
+        status = _await_end(child)
         if status == 0:
             return
         is_lasting = time.monotonic() - began_s > MAX_RESTART_DELAY_S
         delay_s = RESTART_DELAY_S if is_lasting else min(2.0 * delay_s, MAX_RESTART_DELAY_S)
         _report(pipe, f"the server of the operator's socket ended ({_cause(status)}); it is started again")
         time.sleep(delay_s)
+
+
+def _await_end(child: int) -> int:
+    """Wait until the server ends, and return its status as waitpid(2) gives it.
+
+    A server that is suspended is killed: no operator could stop the arm meanwhile. When it went on, it would
+    pass on requests that are old.
+    """
+    while True:
+        _, status = os.waitpid(child, os.WUNTRACED)
+        if not os.WIFSTOPPED(status):
+            return status
+        os.kill(child, signal.SIGKILL)
 
 
 def _serve(listener: socket.socket, pipe: socket.socket, facts: Facts) -> None:

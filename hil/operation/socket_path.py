@@ -10,6 +10,7 @@ import contextlib
 import fcntl
 import os
 import socket
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,6 +22,9 @@ MAX_PATH_BYTES = 106
 """Longest path: a Unix-domain socket of Linux may have 107 (unix(7)), and one is for the hidden name."""
 BACKLOG = 16
 """Number of connections that may wait until they are accepted."""
+
+_LOCK_FLAGS = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+"""A link in the place of the lock file is not followed, and no content of a file is changed."""
 
 
 def default_path() -> Path:
@@ -61,8 +65,10 @@ def listening(path: Path) -> Iterator[socket.socket]:
 
 def _listen(path: Path, stack: contextlib.ExitStack) -> socket.socket:
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    lock = stack.enter_context(path.with_name(f"{path.name}.lock").open("w"))
-    _lock(lock.fileno(), path)
+    _refuse_open_folder(path)
+    lock = os.open(path.with_name(f"{path.name}.lock"), _LOCK_FLAGS, 0o600)
+    stack.callback(os.close, lock)
+    _lock(lock, path)
     hidden = path.with_name(f"{path.name}~")
     hidden.unlink(missing_ok=True)
     listener = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
@@ -75,6 +81,17 @@ def _listen(path: Path, stack: contextlib.ExitStack) -> socket.socket:
     stack.callback(path.unlink, missing_ok=True)
     hidden.replace(path)  # who waits for the file can connect as soon as it is there
     return listener
+
+
+def _refuse_open_folder(path: Path) -> None:
+    """Raise OperationError if other users could put a socket of their own in the place of this one."""
+    mode = path.parent.stat().st_mode
+    if mode & (stat.S_IWGRP | stat.S_IWOTH) and not mode & stat.S_ISVTX:
+        raise OperationError(
+            f"--socket {path}: other users can write to the folder {path.parent} (mode "
+            f"{stat.S_IMODE(mode):04o}) and could replace the socket; choose another folder, or `chmod go-w` "
+            "this one"
+        )
 
 
 def _lock(descriptor: int, path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import subprocess
 import sys
@@ -15,6 +16,10 @@ from hil.operation.pipe import Facts, pipe
 
 END_TIMEOUT_S = 2.0
 """Time in which the socket process must end after the loop has closed its end of the pipe."""
+
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment with which numpy calculates in one thread. Several would compete with the loop for processors,
+and wait for each other: the check of a large controller then took 1 s instead of 0.1 s."""
 
 
 @contextlib.contextmanager
@@ -31,6 +36,7 @@ def socket_process(listener: socket.socket, facts: Facts) -> Iterator[socket.soc
                 # -P: modules in the working directory are not imported.
                 [sys.executable, "-P", "-m", "hil.operation.server_process", *map(str, descriptors)],
                 pass_fds=descriptors,
+                env=os.environ | ONE_THREAD,
                 stdin=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C ends the daemon, which then ends this process.
             )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import pytest
 
 from hil.cli import confirmation, main
 from hil.cli.confirmation import confirm_motion, motion_lines
 from hil.core.errors import HilError
+from hil.shells import real_bus
 from hil.shells.real_bus import is_real
 from hil.shells.run_setup import RunSetup, load_setup
 
@@ -30,6 +32,8 @@ def setup() -> RunSetup:
         ("vcan0", False),
         ("socketcan:vcan1", False),
         ("udp:43113", False),
+        ("inproc:x", False),
+        ("mycan", True),
         ("can0", True),
         ("socketcan:can0", True),
         ("slcan:/dev/ttyACM0", True),
@@ -39,6 +43,16 @@ def setup() -> RunSetup:
 )
 def test_an_unknown_kind_of_bus_counts_as_real(bus: str, real: bool) -> None:
     assert is_real(bus) is real
+
+
+@pytest.mark.parametrize("bus", ["vcan7", "socketcan:vcan7"])
+def test_an_adapter_that_was_renamed_to_a_virtual_bus_is_real(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bus: str
+) -> None:
+    monkeypatch.setattr(real_bus, "INTERFACES", tmp_path)
+    assert not is_real(bus)
+    (tmp_path / "vcan7" / "device").mkdir(parents=True)
+    assert is_real(bus)
 
 
 def test_each_axis_is_shown_with_position_and_target(setup: RunSetup) -> None:

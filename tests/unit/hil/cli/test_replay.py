@@ -12,12 +12,12 @@ import pytest
 from support.wire import crc8, frame_crc
 
 from hil.cli import main
-from hil.cli.replay_onto_bus import is_virtual
 from hil.core.errors import LinkError
 from hil.core.wire import codec
 from hil.links.in_process import InProcessBus
-from hil.links.link import Link
+from hil.links.link import Link, open_link
 from hil.lockstep_rig import run_experiment
+from hil.shells.bus_guard import sole_gateway
 
 BUS = "inproc:replay"
 
@@ -138,13 +138,21 @@ def test_frames_that_the_bus_refuses_are_reported(
     assert "frames: the queue of the bus was full" in capsys.readouterr().out
 
 
+def test_no_gateway_is_played_on_a_bus_that_has_one(
+    folder: Path, capsys: pytest.CaptureFixture[str], listener: InProcessBus
+) -> None:
+    with open_link(BUS) as link, sole_gateway(link, 0.0):
+        assert main(["replay", "run.mcap", "--bus", BUS, "--as", "gateway", "--speed", "50"]) == 2
+    assert "is the gateway of this bus" in capsys.readouterr().err
+    assert not heard(listener)
+
+
 class TestConfirmation:
     """On a bus with wires, valves move."""
 
     @pytest.fixture(autouse=True)
-    def with_wires(self, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-        if "virtual" not in request.node.name:
-            monkeypatch.setattr("hil.cli.replay_onto_bus.is_virtual", lambda _bus: False)
+    def with_wires(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("hil.cli.replay_onto_bus.is_real", lambda _bus: True)
 
     @pytest.mark.parametrize("side", ["boards", "gateway"])
     def test_without_a_terminal_it_is_refused(
@@ -178,23 +186,6 @@ class TestConfirmation:
         command = ["replay", "run.mcap", "--bus", BUS, "--as", "gateway", "--speed", "20"]
         assert main([*command, *options]) == 0
         assert heard(listener)
-
-    @pytest.mark.parametrize(
-        ("bus", "expected"),
-        [
-            ("vcan0", True), ("socketcan:vcan1", True), ("udp:43113", True), ("inproc:x", True),
-            ("can0", False), ("slcan:/dev/ttyACM0", False), ("socketcan:can1", False), ("mycan", False),
-        ],
-    )  # fmt: skip
-    def test_virtual_buses(self, bus: str, expected: bool) -> None:
-        assert is_virtual(bus) is expected
-
-    def test_an_adapter_that_is_named_vcan_is_not_virtual(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        (tmp_path / "vcan7" / "device").mkdir(parents=True)
-        monkeypatch.setattr("hil.cli.replay_onto_bus._NETWORK", tmp_path)
-        assert not is_virtual("vcan7")
 
 
 @pytest.mark.parametrize(

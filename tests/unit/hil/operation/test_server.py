@@ -6,15 +6,19 @@ import json
 import os
 import select
 import stat
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
-from support.operation_bench import FACTS, MadeUpLoop, RawClient, served, status
+from support.operation_bench import FACTS, TIMEOUT_S, MadeUpLoop, RawClient, served, status
 
+from hil.core.controller_change import PreparedController
 from hil.core.errors import OperationError, RequestRefusedError
+from hil.core.requests import ControllerRequest
+from hil.core.rig import Rig
 from hil.operation import server
 from hil.operation.client import connect
 from hil.operation.pipe import Replied
@@ -190,6 +194,24 @@ GARBAGE = [
     b"[" * 50_000 + b"\n",
     b'{"a":' * 20_000 + b"\n",
 ]
+
+
+def test_a_stop_does_not_wait_for_the_check_of_a_controller(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    has_stopped = threading.Event()
+
+    def check(request: ControllerRequest, _rig: Rig) -> PreparedController:
+        assert has_stopped.wait(TIMEOUT_S)
+        return PreparedController("", "checked at last", None, False)
+
+    monkeypatch.setattr(server, "prepare_controller", check)
+    with RawClient(bench[1]) as slow, connect(bench[1]) as other:
+        slow.read()
+        slow.send(msgspec.json.encode(ControllerCall(axis="vertical", name="c", document="{}")) + b"\n")
+        assert other.stop() == "done"
+        has_stopped.set()
+        assert "checked at last" in slow.read()["text"]
 
 
 @pytest.mark.parametrize("garbage", GARBAGE)

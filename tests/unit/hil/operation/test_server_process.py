@@ -18,6 +18,7 @@ from hil.operation import server_process
 from hil.operation.pipe import Logged, pipe
 
 KILLED, FAILED, DONE = int(signal.SIGKILL), 256, 0
+SUSPENDED = signal.SIGSTOP << 8 | 0x7F
 """Statuses of waitpid."""
 
 
@@ -91,6 +92,18 @@ def test_a_server_that_ends_is_started_again_and_reported(
     assert len(texts) == 4
     assert "(killed by signal 9); it is started again" in texts[0]
     assert "(exit status 1)" in texts[1]
+
+
+def test_a_server_that_is_suspended_is_killed_and_started_again(
+    monkeypatch: pytest.MonkeyPatch, ends: tuple[socket.socket, list[str]]
+) -> None:
+    ours, arguments = ends
+    killed: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "kill", lambda *call: killed.append(call))
+    run_keeper(monkeypatch, arguments, [(5.0, SUSPENDED), (0.0, KILLED), (1.0, DONE)])
+    assert killed == [(7, signal.SIGKILL)]
+    (text,) = reports(ours)
+    assert "(killed by signal 9); it is started again" in text
 
 
 def test_servers_that_fail_at_once_are_started_ever_more_slowly(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import stat
@@ -71,3 +72,33 @@ def test_an_error_of_the_daemon_itself_is_not_changed(tmp_path: Path) -> None:
 def test_a_path_that_cannot_be_used_is_explained(path: Path, words: str) -> None:
     with pytest.raises(OperationError, match=words), listening(path):
         pass
+
+
+def test_a_link_in_the_place_of_the_lock_file_is_not_followed(tmp_path: Path) -> None:
+    thesis = tmp_path / "thesis"
+    thesis.write_text("years of work")
+    (tmp_path / "s.lock").symlink_to(thesis)
+    with pytest.raises(OperationError, match="cannot be used"), listening(tmp_path / "s"):
+        pass
+    assert thesis.read_text() == "years of work"
+
+
+def test_other_users_cannot_hold_the_lock(tmp_path: Path) -> None:
+    with listening(tmp_path / "s"):
+        assert stat.S_IMODE((tmp_path / "s.lock").stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize(
+    ("mode", "is_allowed"), [(0o777, False), (0o770, False), (0o755, True), (0o1777, True)]
+)
+def test_a_folder_in_which_others_could_replace_the_socket_is_refused(
+    tmp_path: Path, mode: int, is_allowed: bool
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    folder.chmod(mode)
+    with contextlib.ExitStack() as stack:
+        if not is_allowed:
+            stack.enter_context(pytest.raises(OperationError, match="could replace the socket"))
+        stack.enter_context(listening(folder / "s"))
+    assert not (folder / "s").exists()
