@@ -15,6 +15,7 @@ The boards simulate eq. (15), because the arm's 0.1 ms a period are not the gate
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 import shutil
@@ -30,6 +31,7 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_sim.cli import BOARDS_PRIORITY
 from hil.core.wire import codec
 from hil.host.realtime_rights import FIFO_PRIORITY, real_time_rights
 from hil.links.host_multicast import HostMulticastBus
@@ -208,7 +210,9 @@ def echo_round_trip(bus: str) -> Quantiles:
 
 
 def echo(bus: str) -> None:
-    """Answer each SYNC with a frame of eight bytes."""
+    """Answer each SYNC with a frame of eight bytes, at the priority of the simulated boards."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(BOARDS_PRIORITY))
     with open_bus(bus) as opened:
         print("ready", flush=True)
         answer = can.Message(arbitration_id=codec.TPDO1_ADC, data=bytes(8), is_extended_id=False)
