@@ -52,6 +52,10 @@ bench: .venv/for-test
 		echo "== $$script"; $(BIN)/python $$script || missed=1; \
 	done; exit $$missed
 
+# An hour in simulated time and ten minutes on vcan0. SOAK holds other options, such as --real-time-s 20.
+soak: .venv/for-test test-packages
+	$(BIN)/python tests/soak/soak.py $(SOAK)
+
 lock: .venv/for-test
 	$(BIN)/pip install --quiet pip-tools
 	$(BIN)/pip-compile --quiet --extra test --extra dev --strip-extras --no-emit-index-url --no-emit-find-links \

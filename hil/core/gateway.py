@@ -323,7 +323,12 @@ class Gateway:
         self._stale_periods += skipped + (not self._has_sample)
         if self._stale_periods < self._stale_limit:
             return NOTHING
-        cause = f"the loop itself missed {skipped} deadlines" if skipped else "no TPDO1_ADC arrived"
+        cause = (
+            f"the loop itself missed {skipped} deadlines: other programs or the host took its time; hil "
+            "doctor checks the machine"
+            if skipped
+            else "no TPDO1_ADC arrived: check the board and its cable"
+        )
         reason = (
             f"no good sample for {self._stale_periods} periods, limit {self._stale_limit} "
             f"(rig: adc.stale_after_periods); last cause: {self._rejections.last_reason or cause}"

@@ -202,7 +202,10 @@ class SampleGuard:
                 reason = f"answers an earlier SYNC, {before}: it is late, or the board missed a SYNC"
             case TooOld(age_ns):
                 limit = f"limit {self._period_ns / 1e6:g} ms (rig: loop.period_s)"
-                reason = f"arrived {age_ns / 1e6:.2f} ms after SYNC, {limit}"
+                reason = (
+                    f"arrived {age_ns / 1e6:.2f} ms after SYNC, {limit}: the board, the bus or this machine "
+                    "was slow; hil doctor checks the machine"
+                )
             case _:
                 reason = "no SYNC is unanswered: the frame came twice, or was sent without SYNC"
         return Rejected(f"TPDO1_ADC: {reason}", lost_before=lost_before)

@@ -15,6 +15,7 @@ The boards simulate eq. (15), because the arm's 0.1 ms a period are not the gate
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 import shutil
@@ -30,6 +31,7 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_sim.cli import BOARDS_PRIORITY
 from hil.core.wire import codec
 from hil.host.realtime_rights import FIFO_PRIORITY, real_time_rights
 from hil.links.host_multicast import HostMulticastBus
@@ -146,8 +148,19 @@ def bench_lateness() -> int:
 # Response
 
 
-def sync_to_command(folder: Path, bus: str) -> Quantiles:
-    """Return the times from SYNC to the command that answers its sample, with simulated boards on ``bus``."""
+PARTS = {
+    "SYNC sent, boards answer, wake-up": ("wake_ns", "receive_ns"),
+    "guard, control, encoding": ("receive_ns", "computed_ns"),
+    "command sent": ("computed_ns", "sent_ns"),
+}
+"""Parts of the response, by the instants of the recording between which they lie."""
+
+
+def sync_to_command(folder: Path, bus: str, parts: dict[str, list[Quantiles]]) -> Quantiles:
+    """Return the times from SYNC to the command that answers its sample, with simulated boards on ``bus``.
+
+    Adds to ``parts`` the times of each part of the response.
+    """
     if bus != VCAN:
         timing = recorded_run(folder, RESPONSE_S, LINEAR).timing()
     else:
@@ -157,7 +170,10 @@ def sync_to_command(folder: Path, bus: str) -> Quantiles:
             started.stdout.readline()
             timing = recorded_run(folder, RESPONSE_S, [*LINEAR[1:], "--bus", bus]).timing()
             started.terminate()
-    return quantiles((timing["sent_ns"] - timing["wake_ns"])[timing["fresh"]])
+    timing = timing[timing["fresh"]]
+    for name, (begin, end) in PARTS.items():
+        parts.setdefault(name, []).append(quantiles(timing[end] - timing[begin]))
+    return quantiles(timing["sent_ns"] - timing["wake_ns"])
 
 
 def open_bus(bus: str) -> can.BusABC:
@@ -194,7 +210,9 @@ def echo_round_trip(bus: str) -> Quantiles:
 
 
 def echo(bus: str) -> None:
-    """Answer each SYNC with a frame of eight bytes."""
+    """Answer each SYNC with a frame of eight bytes, at the priority of the simulated boards."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(BOARDS_PRIORITY))
     with open_bus(bus) as opened:
         print("ready", flush=True)
         answer = can.Message(arbitration_id=codec.TPDO1_ADC, data=bytes(8), is_extended_id=False)
@@ -207,9 +225,14 @@ def echo(bus: str) -> None:
 def bench_response(bus: str, name: str) -> int:
     """Measure on ``bus``, vcan0 or a UDP port. Return 0 if the target is met, else 1."""
     print(f"response on {name}, medians of {ROUNDS} alternating runs")
+    parts: dict[str, list[Quantiles]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        ours, theirs = alternate(lambda: sync_to_command(Path(folder), bus), lambda: echo_round_trip(bus))
+        ours, theirs = alternate(
+            lambda: sync_to_command(Path(folder), bus, parts), lambda: echo_round_trip(bus)
+        )
     show("hil run, SYNC to command", ours)
+    for part, rounds in parts.items():
+        show(f"  {part}", medians(rounds))
     show("python-can echo, there and back", theirs)
     return 0 if meets(ours, theirs, dict.fromkeys(QUANTILES, RESPONSE_TARGET)) else 1
 

@@ -79,7 +79,8 @@ class TestRejectedSamples:
         output = gateway.sample(after_ns=PERIOD_NS + 1)
         assert output.frames == ()
         assert texts(output) == [
-            "guard: rejected: TPDO1_ADC: arrived 11.20 ms after SYNC, limit 11.2 ms (rig: loop.period_s)"
+            "guard: rejected: TPDO1_ADC: arrived 11.20 ms after SYNC, limit 11.2 ms (rig: loop.period_s): "
+            "the board, the bus or this machine was slow; hil doctor checks the machine"
         ]
         gateway.deadline()
         assert len(commands(gateway.sample(after_ns=PERIOD_NS))) == 1
