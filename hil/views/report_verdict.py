@@ -51,7 +51,8 @@ def _kept(kept: list[Promise]) -> Iterator[Statement]:
     missed = [p for p in judged if p.outcome is Outcome.MISSED]
     if missed:
         texts = [
-            f"{p.axis}: {p.quantity} {value_text(p.measured, p.unit)}, which must be {limit_text(p)}"
+            f"{p.axis}: {p.quantity} {value_text(p.measured, p.unit)}, which must be {limit_text(p)} and was "
+            f"predicted as {value_text(p.predicted, p.unit)}"
             for p in missed
         ]
         yield Statement("", f"Specifications not met: {'; '.join(texts)}.")

@@ -9,15 +9,18 @@ from pathlib import Path
 
 import can
 import pytest
+from support.recorded_runs import RUN_HEADER, in_memory
 from support.wire import crc8, frame_crc
 
 from hil.cli import main
 from hil.cli.replay_onto_bus import is_virtual
 from hil.core.errors import LinkError
+from hil.core.output import LogEntry, Severity
 from hil.core.wire import codec
 from hil.links.in_process import InProcessBus
 from hil.links.link import Link
 from hil.lockstep_rig import run_experiment
+from hil.recording.recorder import Recorder
 
 BUS = "inproc:replay"
 
@@ -195,6 +198,30 @@ class TestConfirmation:
         (tmp_path / "vcan7" / "device").mkdir(parents=True)
         monkeypatch.setattr("hil.cli.replay_onto_bus._NETWORK", tmp_path)
         assert not is_virtual("vcan7")
+
+
+@pytest.mark.parametrize(
+    ("entries", "ending", "words"),
+    [
+        (2, "interrupted", "its messages are 2 on /gateway/log; the run ended by: interrupted"),
+        (0, "", "it has no message"),
+    ],
+)
+def test_a_recording_without_a_period_says_what_it_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], entries: int, ending: str, words: str
+) -> None:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    for now_ns in range(entries):
+        recorder.log_entry(LogEntry(Severity.INFO, "boards", "not seen yet"), now_ns)
+    recorder.close({"ending": {"reason": ending}})
+    assert main(["replay", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error == f"refused    {path}: has no period, so there is nothing to replay; {words}\n"
+    path.write_bytes(path.read_bytes()[:-30])
+    assert main(["replay", str(path)]) == 2
+    assert capsys.readouterr().err.endswith(", and it was cut off\n")
 
 
 @pytest.mark.parametrize(
