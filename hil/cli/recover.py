@@ -64,10 +64,11 @@ def _report(result: Recovery, source: Path) -> str:
         known = sum(part.messages or 0 for part in result.lost)
         more = " or more" if any(part.messages is None for part in result.lost) else ""
         lines.append(f"in all     {size_text(size)} and {known}{more} messages lost")
-    if not result.lost:
-        what = "every message, attachment and metadata record" if result.repaired else "all data in the file"
-        lines.append(f"lost       nothing: {what} {'is' if result.repaired else 'are'} whole")
-    lines += [f"repaired   damaged: {what}" for what in result.repaired]
+    if not result.lost and result.repaired:
+        lines.append("lost       nothing: every message, attachment and metadata record is whole")
+    elif not result.lost:
+        lines.append("lost       nothing: all data in the file are whole")
+    lines += [f"repaired   {what}" for what in result.repaired]
     if not result.was_complete:
         lines.append(
             "note       the recording was not ended; up to 0.8 s that the recorder had not written yet are "

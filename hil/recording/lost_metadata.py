@@ -14,8 +14,8 @@ from mcap.records import Metadata
 from hil.recording import schemas
 from hil.recording.handover import MESSAGE_HEADER
 from hil.recording.mcap_chunks import walk
-from hil.recording.mcap_scan import Part, Scan
 from hil.recording.metadata_digests import DIGEST_KIND
+from hil.recording.scan_result import Part, Scan
 
 RECORDING = "recording"
 _DEADLINE = struct.Struct("<4sqq")

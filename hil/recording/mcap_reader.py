@@ -11,15 +11,13 @@ through when it is opened (``mcap_scan``), and its message indexes are not used.
 from __future__ import annotations
 
 import struct
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Channel
 from mcap.writer import MCAP0_MAGIC
 
 from hil.core.errors import RecordingError
@@ -33,45 +31,27 @@ from hil.recording.mcap_chunks import (
 )
 from hil.recording.mcap_records import (
     FileBytes,
-    FileStatistics,
-    parse_attachment,
-    parse_channel,
     parse_chunk_header,
-    parse_chunk_index,
-    parse_metadata,
-    parse_place,
-    parse_schema,
-    parse_statistics,
-    records_in,
 )
-from hil.recording.mcap_scan import Place, Scan, scan
+from hil.recording.mcap_scan import scan
+from hil.recording.mcap_summary import CRC_BYTES, FOOTER, Contents, summarised_contents
+from hil.recording.scan_result import Place, Scan
 from hil.recording.schemas import layout_of
 
 Rows: TypeAlias = npt.NDArray[np.void]
 """Structured array with one row for each message."""
+Columns: TypeAlias = dict[str, npt.NDArray[Any]]
+"""Arrays of equal length, with one value for each message, by the name of the field."""
+
+BLOCK_ROWS = 4096
+"""Number of rows that are gathered before their columns are copied. They take half a megabyte."""
 
 MESSAGE_FIELDS = {"length": ("<u8", 1), "log_time": ("<u8", 15), "publish_time": ("<u8", 23)}
-"""Type and offset of the fields before each payload that :meth:`McapContents.rows` adds to the columns."""
+"""Type and offset of the fields before each payload that :meth:`McapContents.columns` knows, too."""
 MAX_MESSAGE_BYTES: Final = 1024 * 1024
 """Largest message of fixed size. A damaged definition may describe any size."""
-_FOOTER_BYTES = RECORD_HEADER.size + 20
-_FOOTER = struct.Struct("<QQI")
-_DATA_END_BYTES = RECORD_HEADER.size + 4
-_CRC_BYTES = 4
 DEFINITION_ERRORS = (ValueError, KeyError, IndexError, struct.error, RecursionError, OverflowError)
 """Exceptions of the parser of definitions when the text is not a definition."""
-
-
-class _Contents(NamedTuple):
-    """What a file holds, however it was found."""
-
-    attachments: list[Attachment]
-    metadata: list[Metadata]
-    schemas: dict[int, Schema]
-    channels: dict[int, Channel]
-    places: list[Place]
-    counts: Counter[int]
-    is_complete: bool
 
 
 class McapContents:
@@ -82,7 +62,7 @@ class McapContents:
         self._file = FileBytes(path)
         if self._file.read(0, len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             raise RecordingError(f"{path}: not an MCAP file")
-        intact = _summarised(self._file)
+        intact = summarised_contents(self._file)
         self._is_intact = intact is not None
         """True if CRCs of the file cover all chunks and indexes, and match."""
         found = intact or self._walked()
@@ -131,39 +111,65 @@ class McapContents:
             content, offsets = self._read(place, channel)
             yield content, {number: offsets[number] for number in offsets if channel in (None, number)}
 
-    def rows(self, topic: str, frame_id: str, range_ns: tuple[int, int] | None = None) -> Rows:
-        """Return all messages of ``topic``, whose only string is ``frame_id``, in file order.
+    def columns(
+        self, topic: str, frame_id: str, names: Sequence[str], range_ns: tuple[int, int] | None = None
+    ) -> Columns:
+        """Return columns of all messages of ``topic``, whose only string is ``frame_id``, in file order.
 
-        The columns are the definition's fields by their dotted names, and :data:`MESSAGE_FIELDS`. With
+        The names are the definition's fields by their dotted names, and :data:`MESSAGE_FIELDS`. With
         ``range_ns``, only the chunks are read that have log times (epoch ns) from its first to its second
         value, and all of their messages are returned.
         """
         row_type = self.row_type(topic, frame_id)
-        places = self._places if range_ns is None else _within(self._places, range_ns)
-        if range_ns is None:
-            filled = np.empty((self.counts[topic], row_type.itemsize), np.uint8)
-            place = 0
-            for block, starts in self._blocks(topic, row_type, places):
-                target = filled[place : place + len(starts)]
-                if len(target) < len(starts):
-                    raise RecordingError(f"{self.path}: {topic}: more messages than the file states")
-                target[:] = block[starts]
-                place += len(starts)
-            filled = filled[:place]
-        else:
-            blocks = [block[starts] for block, starts in self._blocks(topic, row_type, places)]
-            filled = np.concatenate([np.empty((0, row_type.itemsize), np.uint8), *blocks])
-        rows: Rows = filled.view(row_type)[:, 0]
-        if np.any(rows["length"] != row_type.itemsize - RECORD_HEADER.size):
+        fields: Mapping[str, Any] = row_type.fields or {}
+        types = {name: fields[name][0] for name in names}
+        if range_ns is not None:
+            blocks = self._row_blocks(topic, row_type, _within(self._places, range_ns))
+            parts = [{name: rows[name].copy() for name in names} for rows in blocks]
+            return {
+                name: np.concatenate([np.empty(0, kind), *(part[name] for part in parts)])
+                for name, kind in types.items()
+            }
+        count, filled = self.counts[topic], 0
+        columns = {name: np.empty(count, kind) for name, kind in types.items()}
+        for rows in self._row_blocks(topic, row_type, self._places):
+            end = filled + len(rows)
+            if end > count:
+                raise RecordingError(f"{self.path}: {topic}: more messages than the file states")
+            for name, column in columns.items():
+                column[filled:end] = rows[name]
+            filled = end
+        return {name: column[:filled] for name, column in columns.items()}
+
+    def _row_blocks(self, topic: str, row_type: np.dtype[np.void], places: Sequence[Place]) -> Iterator[Rows]:
+        """Yield the rows of ``topic`` in blocks that stay in the processor's cache.
+
+        A block is valid until the next one is asked for.
+        """
+        gathered: Rows = np.empty(BLOCK_ROWS, row_type)
+        count = 0
+        for at_every_offset, starts in self._blocks(topic, row_type, places):
+            if count + len(starts) > BLOCK_ROWS:
+                yield self._checked(topic, gathered[:count])
+                count = 0
+            if len(starts) > BLOCK_ROWS:
+                yield self._checked(topic, at_every_offset[starts].view(row_type))
+                continue
+            gathered.view(at_every_offset.dtype)[count : count + len(starts)] = at_every_offset[starts]
+            count += len(starts)
+        yield self._checked(topic, gathered[:count])
+
+    def _checked(self, topic: str, rows: Rows) -> Rows:
+        """Return the rows. Raises RecordingError if a record has another length than its definition gives."""
+        if np.any(rows["length"] != rows.dtype.itemsize - RECORD_HEADER.size):
             raise self._wrong_length(topic)
         return rows
 
     def first_row(self, topic: str, frame_id: str) -> Rows:
-        """Return the first row of :meth:`rows`; an empty array if there is none."""
+        """Return the first row of ``topic``; an empty array if there is none."""
         row_type = self.row_type(topic, frame_id)
         for block, starts in self._blocks(topic, row_type, self._places):
-            rows: Rows = block[starts[:1]].view(row_type)[:, 0]
-            return rows
+            return block[starts[:1]].view(row_type)
         return np.empty(0, row_type)
 
     @property
@@ -174,7 +180,7 @@ class McapContents:
     def rows_at(self, content: bytes, starts: npt.NDArray[np.int64], topic: str, frame_id: str) -> Rows:
         """Return the rows of ``topic`` that begin at the offsets ``starts`` of a chunk's ``content``.
 
-        Raises RecordingError as :meth:`rows` does.
+        Raises RecordingError when a record has another length than its definition gives.
         """
         row_type = self._row_types.get((topic, frame_id))
         if row_type is None:
@@ -182,10 +188,7 @@ class McapContents:
         size = row_type.itemsize
         if starts[0] < 0 or starts[-1] + size > len(content):
             raise self._wrong_length(topic)
-        rows: Rows = _at_every_offset(content, size)[starts].view(row_type)[:, 0]
-        if np.any(rows["length"] != size - RECORD_HEADER.size):
-            raise self._wrong_length(topic)
-        return rows
+        return self._checked(topic, _at_every_offset(content, size)[starts].view(row_type))
 
     def time_range_ns(self) -> tuple[int, int] | None:
         """Return the smallest and the largest log time in epoch ns; None without a message."""
@@ -215,10 +218,10 @@ class McapContents:
 
     def _blocks(
         self, topic: str, row_type: np.dtype[np.void], places: Sequence[Place]
-    ) -> Iterator[tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]]:
+    ) -> Iterator[tuple[Rows, npt.NDArray[np.int64]]]:
         """Yield each chunk that has messages of ``topic``, and the offsets of their records.
 
-        Row i of the chunk, shape (offsets, bytes of a record), is the record that begins at offset i.
+        Item i of the chunk is the record that begins at offset i, as bytes.
         """
         channel, size = self.channel(topic).id, row_type.itemsize
         for place in places:
@@ -254,7 +257,7 @@ class McapContents:
     def _wrong_length(self, topic: str) -> RecordingError:
         return RecordingError(f"{self.path}: {topic}: a message has not the length that its definition gives")
 
-    def _walked(self) -> _Contents:
+    def _walked(self) -> Contents:
         """Walk through the file. Raises RecordingError when anything but its end is missing."""
         try:
             found = scan(self._file)
@@ -265,7 +268,7 @@ class McapContents:
                 raise RecordingError(f"{self.path}: damaged: {loss.reason}; {self._advice(found, loss.end)}")
         if found.has_end:
             self._check_sections(found)
-        return _Contents(
+        return Contents(
             found.attachments,
             found.metadata,
             found.schemas,
@@ -284,9 +287,9 @@ class McapContents:
         """Check the CRCs of data and summary, where the file has them. Raises RecordingError."""
         assert found.data_end is not None and found.footer is not None
         data_end, footer = found.data_end, found.footer
-        data_crc = int.from_bytes(self._file.read(data_end.body_start, _CRC_BYTES), "little")
-        crc_start = footer.body_start + _FOOTER.size - _CRC_BYTES
-        summary_crc = int.from_bytes(self._file.read(crc_start, _CRC_BYTES), "little")
+        data_crc = int.from_bytes(self._file.read(data_end.body_start, CRC_BYTES), "little")
+        crc_start = footer.body_start + FOOTER.size - CRC_BYTES
+        summary_crc = int.from_bytes(self._file.read(crc_start, CRC_BYTES), "little")
         for start, end, crc in ((0, data_end.start, data_crc), (data_end.end, crc_start, summary_crc)):
             if crc and self._file.crc(start, end) != crc:
                 raise RecordingError(
@@ -294,9 +297,9 @@ class McapContents:
                 )
 
 
-def _at_every_offset(content: bytes, size: int) -> npt.NDArray[np.uint8]:
-    """Return a view whose row i are the ``size`` bytes from offset i on."""
-    return np.ndarray((len(content) - size + 1, size), np.uint8, content, strides=(1, 1))
+def _at_every_offset(content: bytes, size: int) -> Rows:
+    """Return a view whose item i are the ``size`` bytes from offset i on."""
+    return np.ndarray((len(content) - size + 1,), f"V{size}", content, strides=(1,))
 
 
 _CHUNK_HEADER_BYTES = 256
@@ -305,75 +308,6 @@ _CHUNK_HEADER_BYTES = 256
 
 def _within(places: Sequence[Place], range_ns: tuple[int, int]) -> list[Place]:
     return [place for place in places if place.start_ns <= range_ns[1] and place.end_ns >= range_ns[0]]
-
-
-def _summarised(file: FileBytes) -> _Contents | None:
-    """Return the contents by the summary of a complete file whose CRCs match; None for any other file."""
-    footer_start = file.size - len(MCAP0_MAGIC) - _FOOTER_BYTES
-    end = file.read(max(footer_start, 0), _FOOTER_BYTES + len(MCAP0_MAGIC))
-    if footer_start < 0 or not end.endswith(MCAP0_MAGIC):
-        return None
-    if RECORD_HEADER.unpack_from(end) != (Opcode.FOOTER, _FOOTER.size):
-        return None
-    summary_start, _, summary_crc = _FOOTER.unpack_from(end, RECORD_HEADER.size)
-    data_end = summary_start - _DATA_END_BYTES
-    if not len(MCAP0_MAGIC) <= data_end < summary_start <= footer_start or not summary_crc:
-        return None
-    data_end_record = file.read(data_end, _DATA_END_BYTES)
-    data_crc = int.from_bytes(data_end_record[RECORD_HEADER.size :], "little")
-    if RECORD_HEADER.unpack_from(data_end_record) != (Opcode.DATA_END, _CRC_BYTES) or not data_crc:
-        return None
-    crc_start = footer_start + RECORD_HEADER.size + _FOOTER.size - _CRC_BYTES
-    if file.crc(summary_start, crc_start) != summary_crc or file.crc(0, data_end) != data_crc:
-        return None
-    try:
-        return _contents_of(file, file.read(summary_start, footer_start - summary_start))
-    except (ValueError, struct.error):
-        return None
-
-
-def _contents_of(file: FileBytes, summary: bytes) -> _Contents | None:
-    """Return what the summary lists; None if it does not list everything. Raises ValueError, struct.error."""
-    schemas, channels = {}, {}
-    places, messages = [], 0
-    attachments, metadata = [], []
-    statistics: FileStatistics | None = None
-    for opcode, body in records_in(summary):
-        match opcode:
-            case Opcode.SCHEMA:
-                schema, _ = parse_schema(body)
-                schemas[schema.id] = schema
-            case Opcode.CHANNEL:
-                channel, _ = parse_channel(body)
-                channels[channel.id] = channel
-            case Opcode.STATISTICS:
-                statistics = parse_statistics(body)
-            case Opcode.CHUNK_INDEX:
-                chunk = parse_chunk_index(body)
-                messages += chunk.messages
-                if chunk.index_length:
-                    places.append(
-                        Place(chunk.offset, chunk.length, chunk.index_length, chunk.start_ns, chunk.end_ns)
-                    )
-            case Opcode.ATTACHMENT_INDEX:
-                attachments.append(parse_attachment(_body_at(file, *parse_place(body)))[0])
-            case Opcode.METADATA_INDEX:
-                metadata.append(parse_metadata(_body_at(file, *parse_place(body)))[0])
-    if statistics is None or (statistics.messages, statistics.attachments, statistics.metadata) != (
-        messages,
-        len(attachments),
-        len(metadata),
-    ):
-        return None  # messages outside chunks, or records that the summary does not list
-    described = {number for number, channel in channels.items() if channel.schema_id in schemas}
-    if not statistics.by_channel.keys() <= described:
-        return None  # schemas and channels stand in chunks alone
-    places.sort(key=lambda place: place.offset)
-    return _Contents(attachments, metadata, schemas, channels, places, Counter(statistics.by_channel), True)
-
-
-def _body_at(file: FileBytes, offset: int, length: int) -> bytes:
-    return file.read(offset, length)[RECORD_HEADER.size :]
 
 
 def numpy_codes(definition: str, frame_id: str) -> dict[str, str]:

@@ -3,20 +3,17 @@
 A complete file with CRCs needs no walk (``mcap_reader``). In every other file, each chunk is uncompressed
 once: its own CRC is checked, and its records are walked through. When a record is damaged, the walk goes on
 at the next place where a record begins that proves itself: a chunk or an attachment whose CRC matches, or a
-schema, a channel or a metadata record whose fields fill it exactly. What lies between is a :class:`Loss`.
+schema, a channel or a metadata record whose fields fill it exactly (``record_search``). What lies between is
+a :class:`hil.recording.scan_result.Loss`.
 """
 
 from __future__ import annotations
 
 import struct
-from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Channel, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from hil.recording.handover import RECORD_HEADER
@@ -41,82 +38,16 @@ from hil.recording.mcap_records import (
     parse_schema,
     record_at,
 )
+from hil.recording.record_search import PROVABLE, RecordSearch, proves_itself
+from hil.recording.scan_result import Loss, Part, Place, Scan
 
-_BLOCK_BYTES = 1024 * 1024
 _LOOSE_BYTES = 1024 * 1024
 """Messages outside chunks are taken in portions of about this size."""
-_PROVABLE = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL)
 _AFTER_DATA = SUMMARY_OPCODES | {Opcode.SCHEMA, Opcode.CHANNEL}
 _WITHOUT_DATA = SUMMARY_OPCODES | {Opcode.MESSAGE_INDEX, Opcode.DATA_END, MCAP0_MAGIC[0]}
 """First bytes of what can be cut off without a loss: a recovery makes it again."""
-_SEARCH_FACTOR, _SEARCH_FLOOR_BYTES = 8, 16 * 1024 * 1024
-"""The search for records after damage reads at most this multiple of the file, or at least the second value.
-
-A file may be made of bytes that look like the beginning of records everywhere.
-"""
 _CHUNK_HEADER_BYTES = 256
 """Size of the begin of a chunk that is read to see which time it covers."""
-
-
-class Place(NamedTuple):
-    """Place of a chunk in the file, or of messages outside chunks."""
-
-    offset: int
-    length: int
-    """Size of the chunk record with its header, or of the messages, in bytes."""
-    index_length: int
-    """Size of the message indexes after the chunk that can be relied on, in bytes; 0: there are none."""
-    start_ns: int
-    """Smallest log time of the messages, in epoch ns."""
-    end_ns: int
-    """Largest log time of the messages, in epoch ns."""
-    is_chunk: bool = True
-
-
-class Part(NamedTuple):
-    """A chunk, or messages outside chunks, that the walk has read."""
-
-    place: Place
-    first_sequence: int
-    last_sequence: int
-
-
-class Loss(NamedTuple):
-    """Bytes of the file that hold no readable record."""
-
-    start: int
-    end: int
-    reason: str
-    is_tail: bool
-    """True if the file was cut off here: the last record is longer than the file."""
-    parts_before: int
-    """Number of parts that were read before it."""
-    has_messages: bool = True
-    """False if the lost record is of a kind that holds no messages."""
-    span_ns: tuple[int, int] | None = None
-    """First and last log time of a cut-off chunk, as its header states them; None if that is unknown."""
-
-
-@dataclass
-class Scan:
-    """What is readable in a file."""
-
-    attachments: list[Attachment] = field(default_factory=list)
-    metadata: list[Metadata] = field(default_factory=list)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    """Schemas by id."""
-    channels: dict[int, Channel] = field(default_factory=dict)
-    """Channels by id."""
-    parts: list[Part] = field(default_factory=list)
-    counts: Counter[int] = field(default_factory=Counter)
-    """Number of messages, by channel id."""
-    losses: list[Loss] = field(default_factory=list)
-    wrong_lengths: list[int] = field(default_factory=list)
-    """Offsets of chunk records that state a wrong length, and were read by the size of their data."""
-    data_end: Record | None = None
-    footer: Record | None = None
-    has_end: bool = False
-    """True if footer and magic bytes follow the data where they should."""
 
 
 class _DamagedError(ValueError):
@@ -132,7 +63,7 @@ class _Scanner:
     def __init__(self, file: FileBytes) -> None:
         self._file = file
         self._found = Scan()
-        self._search_bytes_left = max(_SEARCH_FACTOR * file.size, _SEARCH_FLOOR_BYTES)
+        self._search = RecordSearch(file)
 
     def run(self) -> Scan:
         found, file = self._found, self._file
@@ -194,7 +125,7 @@ class _Scanner:
             return None
         record = Record(Opcode.CHUNK, start, end)
         body = self._body(record)
-        if not _proves_itself(Opcode.CHUNK, body):
+        if not proves_itself(Opcode.CHUNK, body):
             return None
         self._take_chunk(record, body)
         self._found.wrong_lengths.append(start)
@@ -210,7 +141,7 @@ class _Scanner:
     def _break_off(self, start: int) -> int:
         """Take a record that is longer than the file for the end, if no record follows within it."""
         file, found = self._file, self._found
-        following = self._next_provable(start + 1)
+        following = self._search.next_after(start + 1)
         ends_whole = following is None and file.read(file.size - len(MCAP0_MAGIC), 8) == MCAP0_MAGIC
         if following is not None or (ends_whole and start + len(MCAP0_MAGIC) < file.size):
             return self._lose(start, "its records do not lead to its end", following)
@@ -239,7 +170,7 @@ class _Scanner:
         return header.start_ns, header.end_ns
 
     def _lose(self, start: int, reason: str, following: int | None = None) -> int:
-        end = following or self._next_provable(start + 1) or self._file.size
+        end = following or self._search.next_after(start + 1) or self._file.size
         found = self._found
         last = found.losses[-1] if found.losses else None
         if last is not None and last.end == start and last.parts_before == len(found.parts):
@@ -283,7 +214,7 @@ class _Scanner:
 
     def _is_disguised(self, record: Record, body: bytes) -> bool:
         """Return True if a record of an unknown kind proves itself as a record of a known kind."""
-        return any(_proves_itself(opcode, body) for opcode in _PROVABLE)
+        return any(proves_itself(opcode, body) for opcode in PROVABLE)
 
     def _take_chunk(self, record: Record, body: bytes) -> None:
         header = parse_chunk_header(body)
@@ -359,57 +290,5 @@ class _Scanner:
             reason = "its records do not lead to its end"
             found.losses.append(Loss(start, file.size, reason, False, len(found.parts)))
 
-    def _next_provable(self, start: int) -> int | None:
-        """Return the offset of the next record from ``start`` on that proves itself, None if none does."""
-        for place in self._candidates(start):
-            record = record_at(self._file, place)
-            if record is None:
-                continue
-            if self._search_bytes_left < 0:
-                return None
-            self._search_bytes_left -= record.end - place
-            if _proves_itself(record.opcode, self._body(record)):
-                return place
-        return None
-
-    def _candidates(self, start: int) -> Iterator[int]:
-        """Yield the offsets at which a provable record of less than 4 GB may begin."""
-        size = RECORD_HEADER.size
-        for begin in range(start, self._file.size, _BLOCK_BYTES):
-            block = np.frombuffer(self._file.read(begin, _BLOCK_BYTES + size - 1), np.uint8)
-            count = len(block) - size + 1
-            if count <= 0:
-                return
-            may_begin = np.isin(block[:count], _PROVABLE)
-            for place in range(5, size):
-                may_begin &= block[place : place + count] == 0
-            yield from (begin + int(place) for place in np.flatnonzero(may_begin))
-
 
 _NAMES = {opcode.value: opcode.name.lower().replace("_", " ") for opcode in Opcode}
-
-
-def _proves_itself(opcode: int, body: bytes) -> bool:
-    """Return True if ``body`` is that of a record of the kind ``opcode`` beyond doubt."""
-    try:
-        match opcode:
-            case Opcode.CHUNK:
-                header = parse_chunk_header(body)
-                if header.data_start + header.data_size != len(body):
-                    return False
-                content = uncompressed(header, body[header.data_start :], check_crc=True)
-                return bool(walk(content)) and header.crc != 0
-            case Opcode.ATTACHMENT:
-                return parse_attachment(body)[1] == len(body) and body[-4:] != bytes(4)
-            case Opcode.METADATA:
-                record, size = parse_metadata(body)
-                return size == len(body) and record.name != ""
-            case Opcode.SCHEMA:
-                schema, size = parse_schema(body)
-                return size == len(body) and schema.name != "" and schema.id != 0
-            case Opcode.CHANNEL:
-                channel, size = parse_channel(body)
-                return size == len(body) and channel.topic != ""
-    except (ValueError, struct.error):
-        pass
-    return False

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from functools import cached_property
 from typing import Any, Literal
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from hil.core.errors import RecordingError
 from hil.recording.entries import Entry, Logged
 from hil.recording.entry_reader import EntryReader, is_complete, messages_dropped
-from hil.recording.mcap_reader import Rows, numpy_codes
+from hil.recording.mcap_reader import Columns, numpy_codes
 from hil.recording.run_files import Paths, open_contents
 from hil.recording.schemas import (
     AXIS_SIGNALS,
@@ -32,13 +32,36 @@ from hil.recording.schemas import (
     SENT_TOPIC,
     MessageType,
 )
-from hil.recording.tables import AxisTable, BoolArray, FrameTable, IntArray, TimingTable
+from hil.recording.tables import AxisTable, BoolArray, ByteArray, FrameTable, IntArray, TimingTable
 
 _SECOND_NS = 1_000_000_000
 _ALWAYS_NS = 2**62
 """Magnitude of an instant beyond all others."""
 _MAX_LOG_DELAY_NS = 10 * _SECOND_NS
 """Largest time from a sampling instant to the log time of its period, for the choice of chunks to read."""
+_STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+_SIGNALS = (
+    "setpoint",
+    "position",
+    "error",
+    "output_v",
+    "command_v",
+    "potentiometer_v",
+    "phase",
+    "state",
+    "fresh",
+)
+_CYCLE = (
+    "number",
+    "deadline_ns",
+    "wake_ns",
+    "receive_ns",
+    "computed_ns",
+    "sent_ns",
+    "state",
+    "fresh",
+)
+_FRAME = ("log_time", "publish_time", "id", "is_extended", "is_rtr", "is_error", "dlc", "data")
 _FRAME_TOPICS = {"received": RECEIVED_TOPIC, "sent": SENT_TOPIC, "refused": REFUSED_TOPIC}
 
 
@@ -177,39 +200,25 @@ class Recording:
         """Return the signals of an axis, one row for each period. Raises RecordingError without that axis."""
         if name not in self.axes:
             raise RecordingError(f"{self.path}: no axis {name!r}; the recording has {', '.join(self.axes)}")
-        rows = self._rows(AXIS_TOPIC + name, AXIS_SIGNALS)
-        time_ns = rows["header.stamp.sec"].astype(np.int64) * _SECOND_NS + rows["header.stamp.nanosec"]
-        time_ns -= self.epoch_offset_ns
-        rows, time_ns = self._in_range(rows, time_ns)
-        signals = (
-            "setpoint",
-            "position",
-            "error",
-            "output_v",
-            "command_v",
-            "potentiometer_v",
-            "phase",
-            "state",
-            "fresh",
-        )
+        columns = self._columns(AXIS_TOPIC + name, AXIS_SIGNALS, (*_STAMP, *_SIGNALS))
+        seconds, nanoseconds = (columns.pop(field) for field in _STAMP)
+        time_ns = seconds.astype(np.int64) * _SECOND_NS + nanoseconds - self.epoch_offset_ns
+        columns, time_ns = self._in_range(columns, time_ns)
         return AxisTable(
             time_s=self._seconds(time_ns),
             time_ns=time_ns,
-            **_columns(rows, signals),
-            running=self._is_running(rows),
+            **columns,
+            running=self._is_running(columns["state"]),
             name=name,
             unit=self.axes[name],
         )
 
     def timing(self) -> TimingTable:
         """Return the timing of the loop, one row for each period."""
-        rows = self._rows(CYCLE_TOPIC, CYCLE)
-        rows, _ = self._in_range(rows, rows["wake_ns"])
-        instants = ("deadline_ns", "wake_ns", "receive_ns", "computed_ns", "sent_ns")
+        columns = self._columns(CYCLE_TOPIC, CYCLE, _CYCLE)
+        columns, _ = self._in_range(columns, columns["wake_ns"])
         return TimingTable(
-            time_s=self._seconds(rows["wake_ns"]),
-            **_columns(rows, ("number", *instants, "state", "fresh")),
-            running=self._is_running(rows),
+            time_s=self._seconds(columns["wake_ns"]), **columns, running=self._is_running(columns["state"])
         )
 
     def frames(
@@ -219,20 +228,22 @@ class Recording:
 
         With ``identifier``, only the data frames with this identifier of 11 bits.
         """
-        rows = self._rows(_FRAME_TOPICS[which], FRAME, self.bus)
+        columns = self._columns(_FRAME_TOPICS[which], FRAME, _FRAME, self.bus)
         if identifier is not None:
-            rows = rows[
-                (rows["id"] == identifier) & ~rows["is_extended"] & ~rows["is_rtr"] & ~rows["is_error"]
-            ]
-        rows, time_ns = self._in_range(rows, rows["log_time"].astype(np.int64) - self.epoch_offset_ns)
+            is_other = columns["is_extended"] | columns["is_rtr"] | columns["is_error"]
+            columns = _chosen(columns, (columns["id"] == identifier) & ~is_other)
+        time_ns = columns.pop("log_time").astype(np.int64) - self.epoch_offset_ns
+        columns, time_ns = self._in_range(columns, time_ns)
         return FrameTable(
             time_s=self._seconds(time_ns),
             time_ns=time_ns,
-            stamp_ns=rows["publish_time"].astype(np.int64),
-            **_columns(rows, ("id", "is_extended", "is_error")),
-            is_remote=rows["is_rtr"].copy(),
-            length=rows["dlc"].copy(),
-            data=np.frombuffer(rows["data"].tobytes(), np.uint8).reshape(-1, 8),
+            stamp_ns=columns["publish_time"].astype(np.int64),
+            id=columns["id"],
+            is_extended=columns["is_extended"],
+            is_remote=columns["is_rtr"],
+            is_error=columns["is_error"],
+            length=columns["dlc"],
+            data=np.frombuffer(columns["data"].tobytes(), np.uint8).reshape(-1, 8),
         )
 
     def log(self) -> list[Logged]:
@@ -263,8 +274,8 @@ class Recording:
     def _entry_readers(self) -> list[EntryReader]:
         return [EntryReader(file, self.bus, self.epoch_offset_ns) for file in self._contents.files]
 
-    def _rows(self, topic: str, kind: MessageType, frame_id: str = "") -> Rows:
-        """Return the rows of ``topic`` within the range of time, and some around it.
+    def _columns(self, topic: str, kind: MessageType, names: Sequence[str], frame_id: str = "") -> Columns:
+        """Return columns of ``topic`` within the range of time, and some rows around it.
 
         Raises RecordingError when the topic lacks a field of ``kind``, or has it with another type.
         """
@@ -276,24 +287,23 @@ class Recording:
                     "it another type"
                 )
         if self._range_ns is None:
-            return self._contents.rows(topic, frame_id)
+            return self._contents.columns(topic, frame_id, names)
         low, high = (time_ns + self.epoch_offset_ns for time_ns in self._range_ns)
-        return self._contents.rows(topic, frame_id, (low, high + _MAX_LOG_DELAY_NS))
+        return self._contents.columns(topic, frame_id, names, (low, high + _MAX_LOG_DELAY_NS))
 
-    def _in_range(self, rows: Rows, time_ns: IntArray) -> tuple[Rows, IntArray]:
+    def _in_range(self, columns: Columns, time_ns: IntArray) -> tuple[Columns, IntArray]:
         if self._range_ns is None:
-            return rows, time_ns
-        chosen = (time_ns >= self._range_ns[0]) & (time_ns < self._range_ns[1])
-        return rows[chosen], time_ns[chosen]
+            return columns, time_ns
+        is_chosen = (time_ns >= self._range_ns[0]) & (time_ns < self._range_ns[1])
+        return _chosen(columns, is_chosen), time_ns[is_chosen]
 
     def _seconds(self, time_ns: IntArray) -> npt.NDArray[np.float64]:
         return np.asarray((time_ns - self.start_ns) * 1e-9)
 
-    def _is_running(self, rows: Rows) -> BoolArray:
+    def _is_running(self, state: ByteArray) -> BoolArray:
         running = [value for value, name in self.state_names.items() if name == "running"]
-        return np.isin(rows["state"], running)
+        return np.isin(state, running)
 
 
-def _columns(rows: Rows, names: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
-    """Copy columns out of the rows, so that they are contiguous and do not keep the messages in memory."""
-    return {name: rows[name].copy() for name in names}
+def _chosen(columns: Columns, is_chosen: BoolArray) -> Columns:
+    return {name: column[is_chosen] for name, column in columns.items()}

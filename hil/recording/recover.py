@@ -25,10 +25,11 @@ from hil.recording.indexed_file import IndexedFile, record_bytes
 from hil.recording.lost_metadata import restore_recording
 from hil.recording.mcap_chunks import UnsupportedCompressionError, message_index, uncompressed
 from hil.recording.mcap_records import FileBytes, parse_chunk_header
-from hil.recording.mcap_scan import Loss, Part, Place, Scan, scan
+from hil.recording.mcap_scan import scan
 from hil.recording.mcap_writer import described_channels
 from hil.recording.metadata_digests import DIGESTS, END_DIGESTS, damaged_metadata, with_digests
 from hil.recording.repairs import IndexCheck, repairs
+from hil.recording.scan_result import Loss, Part, Place, Scan
 
 _NS_PER_MS = 1_000_000
 RECOVERY = "recovery"

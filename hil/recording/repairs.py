@@ -16,7 +16,7 @@ from mcap.writer import MCAP0_MAGIC
 from hil.recording.handover import RECORD_HEADER
 from hil.recording.mcap_chunks import indexed_messages
 from hil.recording.mcap_records import FileBytes, record_at
-from hil.recording.mcap_scan import Part, Scan
+from hil.recording.scan_result import Part, Scan
 
 MAX_NAMED = 20
 """Number of damaged message indexes that are named one by one."""

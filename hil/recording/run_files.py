@@ -18,7 +18,7 @@ from mcap.records import Channel
 
 from hil.core.errors import RecordingError
 from hil.recording.mcap_chunks import Offsets
-from hil.recording.mcap_reader import McapContents, Rows
+from hil.recording.mcap_reader import Columns, McapContents, Rows
 from hil.recording.metadata_digests import DIGESTS, damaged_metadata
 from hil.recording.rotation_names import PART, RUN_ID, STATE_NAME
 
@@ -121,18 +121,21 @@ class RunFiles:
             if topic is None or topic in file.channels:
                 yield from file.chunks(topic)
 
-    def rows(self, topic: str, frame_id: str, range_ns: tuple[int, int] | None = None) -> Rows:
-        """Return all messages of ``topic``, as :meth:`McapContents.rows` does."""
+    def columns(
+        self, topic: str, frame_id: str, names: Sequence[str], range_ns: tuple[int, int] | None = None
+    ) -> Columns:
+        """Return columns of all messages of ``topic``, as :meth:`McapContents.columns` does."""
         self.channel(topic)
         files = [file for file in self.files if topic in file.channels]
-        return np.concatenate([file.rows(topic, frame_id, range_ns) for file in files])
+        found = [file.columns(topic, frame_id, names, range_ns) for file in files]
+        return {name: np.concatenate([columns[name] for columns in found]) for name in names}
 
     def row_type(self, topic: str, frame_id: str) -> np.dtype[np.void]:
         """Return the type of a row of ``topic``, as :meth:`McapContents.row_type` does."""
         return self._with(topic).row_type(topic, frame_id)
 
     def first_row(self, topic: str, frame_id: str) -> Rows:
-        """Return the first row of :meth:`rows`; an empty array if there is none."""
+        """Return the first row of ``topic``; an empty array if there is none."""
         self.channel(topic)
         found = [file.first_row(topic, frame_id) for file in self.files if topic in file.channels]
         return next((rows for rows in found if len(rows)), found[0])

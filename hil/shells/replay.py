@@ -100,13 +100,25 @@ def verify(recording: Recording) -> ReplayReport:
     """
     first = next((entry for entry in recording.entries() if isinstance(entry, DeadlineCalled)), None)
     if first is None:
-        raise RecordingError(f"{recording.path}: has no period; there is nothing to replay")
+        raise RecordingError(
+            f"{recording.path}: has no period, so there is nothing to replay; {_what(recording)}"
+        )
     try:
         return _replay(recording, _gateway(recording, first.deadline_ns))
     except ReplayMismatchError as error:
         recorded_by = recording.metadata.get("run", {}).get("hil", __version__)
         by = "" if recorded_by == __version__ else f" (recorded by hil {recorded_by}, this is {__version__})"
         raise ReplayMismatchError(f"{recording.path}: {error}{by}") from None
+
+
+def _what(recording: Recording) -> str:
+    """Return in words what a recording without a period has, and how it ended."""
+    counts = [f"{count} on {topic}" for topic, count in recording.counts.items() if count]
+    found = f"its messages are {', '.join(counts)}" if counts else "it has no message"
+    if not recording.complete:
+        return f"{found}, and it was cut off"
+    reason = recording.metadata.get("ending", {}).get("reason", "")
+    return f"{found}; the run ended by: {reason}" if reason else found
 
 
 def _gateway(recording: Recording, first_deadline_ns: int) -> Gateway:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hil.views.duration_counts import DurationCounts
+
 BINS = 60
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 520, 190, 44, 10, 10, 34
 """Size of the drawing and its margins, in pixels."""
@@ -15,15 +17,14 @@ MIN_SPAN_US = 20.0
 """Smallest range of the horizontal axis, in microseconds."""
 
 
-def histogram(name: str, values_us: npt.NDArray[np.floating[Any]]) -> dict[str, Any]:
-    """Return name, drawing and caption of the histogram of durations in microseconds."""
-    if len(values_us) == 0:
+def histogram(name: str, durations: DurationCounts) -> dict[str, Any]:
+    """Return name, drawing and caption of the histogram of durations."""
+    if len(durations) == 0:
         return {"name": name, "svg": "", "caption": "The run has no such value."}
-    low, high = float(values_us.min()), float(values_us.max())
-    high = max(high, low + MIN_SPAN_US)
-    counts, edges = np.histogram(values_us, BINS, (low, high))
-    p50, p99 = np.percentile(values_us, [50.0, 99.0])
-    caption = f"{len(values_us)} values, p50 {p50:.0f} µs, p99 {p99:.0f} µs, largest {values_us.max():.0f} µs"
+    low, high = durations.min_ns * 1e-3, durations.max_ns * 1e-3
+    counts, edges = durations.histogram(BINS, (low, max(high, low + MIN_SPAN_US)))
+    p50, p99 = (value * 1e-3 for value in durations.quantiles_ns([0.5, 0.99]))
+    caption = f"{len(durations)} values, p50 {p50:.0f} µs, p99 {p99:.0f} µs, largest {high:.0f} µs"
     return {"name": name, "svg": _draw(name, counts, edges), "caption": caption}
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -18,9 +17,10 @@ from hil.core.output import LogEntry, Severity
 from hil.core.wire.codec import TPDO1_ADC
 from hil.recording.reader import Recording
 from hil.recording.recorder import ARM_EVENTS
-from hil.views.life_cycle_stays import Stay, stays_in
+from hil.views.life_cycle_stays import Stay
+from hil.views.loop_figures import loop_figures
 from hil.views.report_series import extremes
-from hil.views.run_columns import AxisColumns, axis_columns, timing_columns
+from hil.views.run_columns import AxisColumns, axis_columns
 
 BLUE, GREEN, VERMILION, GREY = "#0072B2", "#009E73", "#D55E00", "#666666"
 """Colours of Okabe and Ito's palette, which colour-blind readers can distinguish."""
@@ -39,11 +39,10 @@ def plot_run(recording: Recording, path: Path, axes: Sequence[str] = (), title: 
     States other than running are shaded. Faults and the planned events of a simulated arm are marked and
     named. Raises RecordingError when there is nothing to draw, or ``path`` cannot be written.
     """
-    timing = timing_columns(recording)
-    if len(timing) == 0:
+    loop = loop_figures(recording)
+    if loop.periods == 0:
         raise RecordingError(f"{recording.path}: has no period, so there is nothing to draw")
-    start_s = float(timing.time_s[np.argmax(timing.running)])
-    stays = stays_in(timing, recording.state_names, start_s)
+    start_s, stays = loop.start_s, loop.stays()
     faults = [
         (recording.seconds(now_ns) - start_s, entry)
         for now_ns, entry in recording.log()

@@ -20,6 +20,8 @@ LABELS = {
     "error": "steady-state error over the step's size",
 }
 """Quantities that a step shows, in words. Their limits are upper limits."""
+PARTS = frozenset({"overshoot", "error"})
+"""Quantities that are parts of the step's size. They are shown in per cent."""
 NOT_JUDGED = frozenset({"error"})
 """Quantities that are shown and not judged.
 
@@ -43,12 +45,15 @@ class Promise(NamedTuple):
     axis: str
     quantity: str
     """The quantity in words."""
+    sign: str
+    """"≤" if the value may not exceed the limit, "≥" if it may not be below it, empty if that is unknown."""
     limit: float
     predicted: float | None
     """Value that the design predicts; None if the file has none."""
     measured: float | None
     """Value of the run; None if the run does not show it."""
     unit: str
+    """Unit of the limit and of both values; "%" for parts of the step's size."""
     outcome: Outcome
 
 
@@ -64,20 +69,32 @@ def promises(axis: str, origin: dict[str, Any], measured: object) -> list[Promis
         if not isinstance(entry, dict) or not isinstance(entry.get("limit"), int | float):
             continue
         quantity = str(entry.get("quantity", ""))
+        limit = float(entry["limit"])
         value = _measured(quantity, measured) if isinstance(measured, StepResponse) else None
-        predicted = entry.get("value")
+        predicted = float(entry["value"]) if isinstance(entry.get("value"), int | float) else None
+        scale, unit = (100.0, "%") if quantity in PARTS else (1.0, str(entry.get("unit", "")))
         found.append(
             Promise(
                 axis,
                 LABELS.get(quantity, str(entry.get("reading") or quantity)),
-                float(entry["limit"]),
-                float(predicted) if isinstance(predicted, int | float) else None,
-                value,
-                str(entry.get("unit", "")),
-                _outcome(quantity, value, float(entry["limit"])),
+                _sign(quantity, predicted, limit, entry.get("met")),
+                scale * limit,
+                None if predicted is None else scale * predicted,
+                None if value is None else scale * value,
+                unit,
+                _outcome(quantity, value, limit),
             )
         )
     return found
+
+
+def _sign(quantity: str, predicted: float | None, limit: float, is_met: object) -> str:
+    """Return on which side of the limit the value must be: the file says whether its prediction is there."""
+    if quantity in LABELS:
+        return "≤"
+    if predicted is None or predicted == limit or not isinstance(is_met, bool):
+        return ""
+    return "≤" if (predicted < limit) == is_met else "≥"
 
 
 def _measured(quantity: str, step: StepResponse) -> float | None:

@@ -47,30 +47,49 @@ class Slots:
         return exact.astype(np.int32)
 
 
-def encode(slots: Slots, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]) -> dict[str, Any]:
-    """Return a series for the page: ``low``, ``high`` and the base64 of the slots' extreme values.
+class SlotSeries:
+    """The smallest and the largest value of a signal in each slot, collected from consecutive parts."""
 
-    ``time_s`` (n,) must ascend; values (n,) that are not finite are left out. ``max`` is None where every
-    slot has one value.
-    """
-    values = np.asarray(values, np.float64)
-    known = np.isfinite(values)
-    if not known.all():
-        time_s, values = time_s[known], values[known]
-    smallest, largest = np.full(slots.count, np.nan), np.full(slots.count, np.nan)
-    if len(values):
-        slot = slots.of(time_s)
+    def __init__(self, slots: Slots) -> None:
+        self.slots = slots
+        self._smallest, self._largest = np.full(slots.count, np.nan), np.full(slots.count, np.nan)
+
+    def add(self, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]) -> None:
+        """Take the values at ``time_s`` (n,), which must ascend. Values that are not finite are left out."""
+        values = np.asarray(values, np.float64)
+        known = np.isfinite(values)
+        if not known.all():
+            time_s, values = time_s[known], values[known]
+        if len(values) == 0:
+            return
+        slot = self.slots.of(time_s)
         first = np.concatenate([[0], np.flatnonzero(slot[1:] != slot[:-1]) + 1])
-        smallest[slot[first]] = np.minimum.reduceat(values, first)
-        largest[slot[first]] = np.maximum.reduceat(values, first)
-    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
-    is_single = np.array_equal(smallest, largest, equal_nan=True)
-    return {
-        "low": low,
-        "high": high,
-        "min": _base64(smallest, low, high),
-        "max": None if is_single else _base64(largest, low, high),
-    }
+        places = slot[first]
+        self._smallest[places] = np.fmin(self._smallest[places], np.minimum.reduceat(values, first))
+        self._largest[places] = np.fmax(self._largest[places], np.maximum.reduceat(values, first))
+
+    def encoded(self) -> dict[str, Any]:
+        """Return the series for the page: ``low``, ``high`` and the base64 of the slots' extreme values.
+
+        ``max`` is None where every slot has one value.
+        """
+        smallest, largest = self._smallest, self._largest
+        is_empty = bool(np.isnan(smallest).all())
+        low, high = (0.0, 0.0) if is_empty else (float(np.nanmin(smallest)), float(np.nanmax(largest)))
+        is_single = np.array_equal(smallest, largest, equal_nan=True)
+        return {
+            "low": low,
+            "high": high,
+            "min": _base64(smallest, low, high),
+            "max": None if is_single else _base64(largest, low, high),
+        }
+
+
+def encode(slots: Slots, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]) -> dict[str, Any]:
+    """Return a series whose values (n,) are known at once, as :meth:`SlotSeries.encoded` does."""
+    series = SlotSeries(slots)
+    series.add(time_s, values)
+    return series.encoded()
 
 
 def extremes(

@@ -245,7 +245,9 @@ def test_a_recording_without_a_period_is_refused(
         recorded, tmp_path / "changed.mcap", until=lambda message: message.topic == "/gateway/deadline"
     )
     assert main(["replay", "--verify", str(changed)]) == 2
-    assert "changed.mcap: has no period; there is nothing to replay" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "changed.mcap: has no period, so there is nothing to replay; its messages are " in error
+    assert "1 on /gateway/log" in error
 
 
 @pytest.mark.parametrize(("place", "value"), [(12, 99), (20, 0xFF)])

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 RUN_S = 10
 HOUR_PERIODS = 321_429
 MAX_EXPORT_RATIO = 3.0
+ROUNDS = 3
 PLAYERS = {
     "hil replay": [
         sys.executable,
@@ -68,15 +69,23 @@ def errors_ms(player: list[str], folder: Path) -> NDArray[np.float64]:
 
 
 def bench_on_vcan(folder: Path) -> bool:
-    """Print the timing errors of all players, and return whether ours is below canplayer's at p99."""
-    p99_ms = {}
-    for name, command in PLAYERS.items():
-        late_ms = errors_ms(command, folder)
-        p50, p99_ms[name] = np.percentile(late_ms, (50, 99))
-        print(f"{name:15} p50 {p50:6.3f}, p99 {p99_ms[name]:6.3f}, worst {late_ms.max():6.3f} ms", flush=True)
-    ours, peer = p99_ms["hil replay"], p99_ms["canplayer"]
-    print(f"p99: canplayer's is {peer / ours:.1f} times ours")
-    return ours < peer
+    """Print the timing errors of all players, and return whether ours is below canplayer's at p99.
+
+    The players take turns, so that a busy machine disturbs all of them, and the median of the rounds counts.
+    canplayer with ``-g 0`` does not sleep between frames: it occupies a processor for the whole replay.
+    """
+    found_ms: dict[str, list[NDArray[np.float64]]] = {name: [] for name in PLAYERS}
+    for _ in range(ROUNDS):
+        for name, command in PLAYERS.items():
+            late_ms = errors_ms(command, folder)
+            found_ms[name].append(np.array([*np.percentile(late_ms, (50, 99)), late_ms.max()]))
+    median_ms = {name: np.median(rounds, axis=0) for name, rounds in found_ms.items()}
+    for name, (p50, p99, worst) in median_ms.items():
+        print(f"{name:15} p50 {p50:6.3f}, p99 {p99:6.3f}, worst {worst:6.3f} ms", flush=True)
+    ours = median_ms["hil replay"][1]
+    ratios = {name: median_ms[name][1] / ours for name in PLAYERS if name != "hil replay"}
+    print("p99: " + ", ".join(f"that of {name} is {ratio:.2f} times ours" for name, ratio in ratios.items()))
+    return min(ratios.values()) > 1.0
 
 
 def bench_replay(folder: Path) -> bool:

@@ -9,14 +9,17 @@ from pathlib import Path
 
 import can
 import pytest
+from support.recorded_runs import RUN_HEADER, in_memory
 from support.wire import crc8, frame_crc
 
 from hil.cli import main
 from hil.core.errors import LinkError
+from hil.core.output import LogEntry, Severity
 from hil.core.wire import codec
 from hil.links.in_process import InProcessBus
 from hil.links.link import Link, open_link
 from hil.lockstep_rig import run_experiment
+from hil.recording.recorder import Recorder
 from hil.shells.bus_guard import sole_gateway
 
 BUS = "inproc:replay"
@@ -186,6 +189,30 @@ class TestConfirmation:
         command = ["replay", "run.mcap", "--bus", BUS, "--as", "gateway", "--speed", "20"]
         assert main([*command, *options]) == 0
         assert heard(listener)
+
+
+@pytest.mark.parametrize(
+    ("entries", "ending", "words"),
+    [
+        (2, "interrupted", "its messages are 2 on /gateway/log; the run ended by: interrupted"),
+        (0, "", "it has no message"),
+    ],
+)
+def test_a_recording_without_a_period_says_what_it_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], entries: int, ending: str, words: str
+) -> None:
+    path = tmp_path / "run.mcap"
+    with in_memory(path):
+        recorder = Recorder(path, RUN_HEADER, lossless=True)
+    for now_ns in range(entries):
+        recorder.log_entry(LogEntry(Severity.INFO, "boards", "not seen yet"), now_ns)
+    recorder.close({"ending": {"reason": ending}})
+    assert main(["replay", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error == f"refused    {path}: has no period, so there is nothing to replay; {words}\n"
+    path.write_bytes(path.read_bytes()[:-30])
+    assert main(["replay", str(path)]) == 2
+    assert capsys.readouterr().err.endswith(", and it was cut off\n")
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support.recorded_runs import PERIOD_S, record_run
+from support.long_recordings import record_long_run
+from support.recorded_runs import record_run
 
 from hil.recording import open_recording
 from hil.recording.recover import recover
+from hil.views import comparison_windows, loop_figures, report_plots
+from hil.views.comparison import compare
 from hil.views.recording_report import render_report
 
 PERIODS = 54_000
@@ -56,9 +59,31 @@ def test_a_cut_off_file_and_its_recovery_need_a_fraction_of_it(path: Path, tmp_p
     assert peak_bytes(lambda: recover(torn, tmp_path / "saved.mcap")) < 6 * MB
 
 
-def test_a_report_has_a_bounded_size_and_needs_a_few_columns(path: Path) -> None:
-    pages: list[str] = []
-    columns_bytes = 8 * 8 * PERIODS
-    assert peak_bytes(lambda: pages.append(render_report(open_recording(path)))) < 12 * columns_bytes
-    assert len(pages[0]) < 3 * MB
-    assert PERIODS * PERIOD_S > 600
+@pytest.fixture
+def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten the windows in which long runs are read, so that a run of minutes has many of them."""
+    for module in (loop_figures, report_plots, comparison_windows):
+        monkeypatch.setattr(module, "WINDOW_S", 20.0)
+
+
+@pytest.mark.usefixtures("short_windows")
+def test_a_report_has_a_bounded_size_and_needs_no_more_memory_for_a_longer_run(tmp_path: Path) -> None:
+    """The longer run has four times as many periods. Of its chunks, their places alone are in memory."""
+    peaks = []
+    for periods in (10_000, 40_000):
+        path = tmp_path / f"{periods}.mcap"
+        pages: list[str] = []
+        record_long_run(path, periods)
+        peaks.append(peak_bytes(lambda: pages.append(render_report(open_recording(path)))))  # noqa: B023
+        assert len(pages[0]) < 3 * MB
+    assert peaks[1] < peaks[0] + 4 * MB < 20 * MB
+
+
+@pytest.mark.usefixtures("short_windows")
+def test_a_comparison_needs_no_more_memory_for_a_longer_run(tmp_path: Path) -> None:
+    peaks = []
+    for periods in (5_000, 20_000):
+        path = tmp_path / f"{periods}.mcap"
+        record_long_run(path, periods)
+        peaks.append(peak_bytes(lambda: compare(open_recording(path), open_recording(path))))  # noqa: B023
+    assert peaks[1] < peaks[0] + MB < 10 * MB

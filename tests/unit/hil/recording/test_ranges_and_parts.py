@@ -28,10 +28,10 @@ from hil.recording import open_recording
 from hil.recording.entries import DeadlineCalled
 from hil.recording.handover import RunHeader
 from hil.recording.mcap_reader import McapContents
-from hil.recording.mcap_scan import Place
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
 from hil.recording.rotation_names import STATE_NAME
+from hil.recording.scan_result import Place
 
 PERIODS = 2000
 

@@ -159,7 +159,46 @@ def test_a_damaged_summary_is_no_loss(path: Path, recording: Recording, tmp_path
     content = path.read_bytes()
     new, result = saved(content[:-100] + bytes(100), tmp_path)
     assert result.lost == ()
+    (end,) = (end for opcode, _, end in records(content) if opcode == Opcode.DATA_END)
+    assert result.repaired == (f"the summary or the footer, from byte {end} on",)
     assert list(new.entries()) == list(recording.entries())
+
+
+def test_damage_without_a_loss_is_named(path: Path, recording: Recording, tmp_path: Path) -> None:
+    content = path.read_bytes()
+    chunk = chunk_starts(content)[1]
+    found = {opcode: start for opcode, start, _ in reversed(records(content))}
+    index = next(start for _, start, _ in records(content) if start > chunk)
+    data_end, summary = found[Opcode.DATA_END], found[Opcode.STATISTICS]
+    for place, words in (
+        (2, "the magic bytes at the begin of the file"),
+        (chunk + 6, f"the length of the chunk at byte {chunk}"),
+        (index + 40, f"the message index of the chunk at byte {chunk}"),
+        (found[Opcode.HEADER] + 20, f"a record's header or padding before byte {data_end}, or the CRC"),
+        (data_end + 10, f"a record's header or padding before byte {data_end}, or the CRC"),
+        (summary + 12, f"the summary from byte {data_end + 13} on, or its CRC"),
+    ):
+        changed = bytearray(content)
+        changed[place] ^= 1
+        new, result = saved(bytes(changed), tmp_path)
+        assert result.lost == ()
+        (repaired,) = result.repaired
+        assert repaired.startswith(words)
+        assert list(new.entries()) == list(recording.entries())
+
+
+def test_many_damaged_indexes_are_counted(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    record_run(file, 1500)
+    content = bytearray(file.read_bytes())
+    starts = chunk_starts(bytes(content))
+    assert len(starts) > 22
+    for opcode, start, _ in records(bytes(content)):
+        if opcode == Opcode.MESSAGE_INDEX:
+            content[start + 20] ^= 1
+    _, result = saved(bytes(content), tmp_path)
+    assert len(result.repaired) == 21
+    assert result.repaired[-1] == f"{len(starts) - 20} more lengths or message indexes"
 
 
 def test_a_zero_filled_end_is_lost(path: Path, tmp_path: Path) -> None:
@@ -205,6 +244,7 @@ def test_single_bit_flips_lose_one_chunk_at_most(path: Path, recording: Recordin
         place = draw.randrange(len(content))
         changed[place] ^= 1 << draw.randrange(8)
         new, result = saved(bytes(changed), tmp_path)
+        assert result.lost or result.repaired, "what was damaged is named"
         known = sum(part.messages or 0 for part in result.lost)
         at_end = any(part.messages is None for part in result.lost)
         assert result.messages + known == total or (at_end and result.messages > largest)
@@ -258,6 +298,17 @@ class TestCommand:
         assert f"saved      {tmp_path}/run 1-recovered.mcap: 1333 messages, 1." in out
         assert "lost       nothing: all data in the file are whole\n" in out
         assert f"next       hil replay '{tmp_path}/run 1-recovered.mcap'\n" in out
+        assert "repaired" not in out
+
+    def test_a_file_with_damage_that_costs_nothing(
+        self, path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        source = tmp_path / "run.mcap"
+        source.write_bytes(b"x" + path.read_bytes()[1:])
+        assert command.main([str(source)]) == 0
+        out = capsys.readouterr().out
+        assert "lost       nothing: every message, attachment and metadata record is whole\n" in out
+        assert "repaired   the magic bytes at the begin of the file\n" in out
 
     def test_a_damaged_and_cut_off_file(
         self, path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -98,6 +98,15 @@ def test_the_state_of_every_protection_is_carried_over(tmp_path: Path) -> None:
         assert verify(Recording(file)).complete
 
 
+def test_the_files_are_verified_as_one_run(parts: list[Recording], whole: Recording) -> None:
+    paths = [part.path for part in parts]
+    found, expected = verify(Recording(paths)), verify(whole)
+    assert found.complete
+    assert (found.calls, found.frames_compared) == (expected.calls, expected.frames_compared)
+    assert found.periods_compared == expected.periods_compared
+    assert verify(Recording(paths[5:])).complete, "the first files may have been removed"
+
+
 def test_some_files_begin_while_an_axis_moves(parts: list[Recording]) -> None:
     first_states = [part.axis("vertical")["state"][0] for part in parts]
     assert first_states.count(LifeCycleState.RUNNING) > 6

@@ -30,9 +30,11 @@ from hil.core.output import LogEntry, Severity
 from hil.recording import open_recording
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder
+from hil.views.duration_counts import DurationCounts
 from hil.views.histograms import histogram
 from hil.views.promises import Outcome, promises
-from hil.views.recording_report import MIN_SPAN, render_report, write_report
+from hil.views.recording_report import render_report, write_report
+from hil.views.report_plots import MIN_SPAN
 from hil.views.report_series import Slots, decode, encode, extremes
 from hil.views.summary import StepResponse, Tracking
 
@@ -134,10 +136,11 @@ def test_the_plots_hold_the_signals_of_every_axis(path: Path, page: str) -> None
 def test_the_verdict_compares_with_what_the_controller_file_promises(page: str) -> None:
     text = text_of(page)
     assert "The run was completed: 4.5 s under control." in text
-    assert "Specifications not met: vertical: 2 % settling time 0.784 s, limit 0.6." in text
-    assert "vertical overshoot 0.05 0.01 0 met" in text
-    assert "vertical 2 % settling time 0.6 s 0.5 s 0.784 s not met" in text
-    assert re.search(r"vertical steady-state error over the step's size 0\.001 0 \S+ not judged", text)
+    assert "Specifications not met: vertical: 2 % settling time 0.784 s, which must be ≤ 0.6 s " in text
+    assert "and was predicted as 0.5 s." in text
+    assert "vertical overshoot ≤ 5 % 1 % 0 % met" in text
+    assert "vertical 2 % settling time ≤ 0.6 s 0.5 s 0.784 s not met" in text
+    assert re.search(r"vertical steady-state error over the step's size ≤ 0\.1 % 0 % \S+ % not judged", text)
     assert "vertical gain of GK 20 dB – – not measured" in text
 
 
@@ -257,11 +260,17 @@ class TestSeries:
         assert decode(encode(slots, np.zeros(1), np.full(1, 5.0)))[0] == 5.0
 
 
+def counted(durations_ns: list[int]) -> DurationCounts:
+    counts = DurationCounts()
+    counts.add(np.array(durations_ns, np.int64))
+    return counts
+
+
 def test_histograms_show_single_values_and_say_when_there_are_none() -> None:
-    drawn = histogram("lateness", np.array([100.0] * 1000 + [5000.0]))
+    drawn = histogram("lateness", counted([100_000] * 1000 + [5_000_000]))
     assert drawn["svg"].count("<rect") == 2
     assert drawn["caption"] == "1001 values, p50 100 µs, p99 100 µs, largest 5000 µs"
-    assert histogram("response", np.empty(0))["caption"] == "The run has no such value."
+    assert histogram("response", counted([]))["caption"] == "The run has no such value."
 
 
 def test_promises_are_judged_by_the_step_alone() -> None:

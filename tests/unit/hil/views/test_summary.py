@@ -360,8 +360,8 @@ def test_a_cut_off_recording_says_so(tmp_path: Path) -> None:
 def test_an_interrupted_run_says_so_and_others_do_not(tmp_path: Path) -> None:
     ending = {"reason": "interrupted", "duration asked for, s": "600"}
     summary, text = summary_and_text(tmp_path, ending)
-    assert summary.controlled_s == pytest.approx(298 * PERIOD_S)
-    assert f"interrupted after {298 * PERIOD_S:.0f} s of 600" in text
+    assert summary.controlled_s == pytest.approx(299 * PERIOD_S)
+    assert f"interrupted after {299 * PERIOD_S:.0f} s of 600" in text
     (tmp_path / "run.mcap").unlink()
     assert "interrupted" not in summary_and_text(tmp_path, ending | {"reason": "completed"})[1]
 
