@@ -137,6 +137,14 @@ class TestBusOff:
         assert bench.at_gateway == [RESTARTED]
         assert bench.send(SYNC) == [True]
 
+    def test_a_second_fault_of_this_kind_changes_nothing(self) -> None:
+        bench = Bench()
+        for _ in range(2):
+            assert bench.bus.take_gateway_off(0) == BUS_OFF
+        bench.bus.restart(0)
+        bench.run(duration_ns=RECOVERY_NS)
+        assert bench.send(SYNC) == [True]
+
     def test_boards_go_on_without_the_gateway(self) -> None:
         bench = Bench()
         bench.bus.take_gateway_off(0)
