@@ -74,6 +74,7 @@ class CanBus:
         self._began_ns = 0
         self._free_ns = 0
         """Time from which the next frame may begin."""
+        self._intermission_ns = self.duration_ns(INTERMISSION_BITS)
         self._is_destroyed = self._is_unacknowledged = False
         self._counts_errors = False
         """True once an error occurred; before, all error counters are 0."""
@@ -157,6 +158,8 @@ class CanBus:
 
     def _broken_bit(self, sender: Controller, bits: int) -> int | None:
         """Return the bit of a frame at which an error is detected; None for a good frame."""
+        if not (self.disturbances or self._counts_errors) and len(self._controllers) > 1:
+            return None
         for disturbance in self.disturbances:
             broken = disturbance(sender.name, bits)
             if broken is not None:
@@ -171,7 +174,7 @@ class CanBus:
         """End the frame on the wire, or the error frame that destroyed it."""
         sender = self._sender
         self.is_busy = False
-        self._free_ns = now_ns + self.duration_ns(INTERMISSION_BITS)
+        self._free_ns = now_ns + self._intermission_ns
         self.busy_ns += self._free_ns - self._began_ns
         frame = None
         if self._is_destroyed:

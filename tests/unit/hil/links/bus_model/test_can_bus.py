@@ -122,7 +122,7 @@ class TestArbitration:
         bench.send(1, Frame(0x600))
         assert [frame.id for frame in bench.run()] == [0x600, 0x700, 0x001]
 
-    @settings(max_examples=200)
+    @settings(max_examples=60, deadline=None)
     @given(st.lists(st.integers(0, 0x7FF), min_size=1, max_size=8, unique=True))
     def test_frames_of_many_nodes_arrive_by_identifier(self, identifiers: list[int]) -> None:
         bench = Bench(nodes=len(identifiers))
@@ -358,7 +358,7 @@ steps = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(steps, st.integers(0, 5))
 def test_frames_overlap_never_and_none_is_lost_or_doubled(
     sends: list[tuple[int, int, bytes, int, bool]], errors: int
