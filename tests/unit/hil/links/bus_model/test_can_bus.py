@@ -246,6 +246,17 @@ class TestErrors:
         assert bench.nodes[0].state is ErrorState.ERROR_PASSIVE
         assert len(bench.nodes[0].queue) == 1
 
+    def test_its_attempts_end_at_the_acknowledgement_that_is_missing(self) -> None:
+        bench = Bench(nodes=1)
+        bench.send(0, Frame(0x100))
+        attempt = bits_on_wire(Frame(0x100)) - 11 + 14 + 3
+        passive = attempt + 8
+        end_ns = (16 * attempt + 10 * passive - 3) * BIT_NS
+        bench.run(until_ns=end_ns - 1)
+        assert bench.bus.error_frames == 25
+        bench.run(until_ns=end_ns)
+        assert bench.bus.error_frames == 26
+
     def test_its_frame_is_sent_when_another_node_joins(self) -> None:
         bench = Bench(nodes=1)
         bench.send(0, Frame(0x100))
