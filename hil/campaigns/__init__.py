@@ -6,5 +6,5 @@
 - ``runner``: runs the cases in processes, in order.
 - ``summary``: what the results say, fault by fault.
 - ``page``: the HTML page, with the worst cases first.
-- ``shipped``: the campaigns ``faults`` and ``robustness``.
+- ``shipped``: the campaigns ``bus``, ``faults`` and ``robustness``.
 """

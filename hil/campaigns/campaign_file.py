@@ -1,7 +1,7 @@
 r"""The file of a campaign: faults, moments, set-ups and distributions, whose combinations are the cases.
 
-The smallest file has a title and one fault. ``shipped/faults.toml`` and ``shipped/robustness.toml`` are
-examples of whole ones.
+The smallest file has a title and one fault. ``shipped/faults.toml``, ``bus.toml`` and ``robustness.toml``
+are examples of whole ones.
 
 >>> text = 'title = "lost samples"\n[[faults]]\nfault = "lose:sample"\nexpect = "fault"'
 >>> case_at(read_campaign(text, "lost.toml"), 0).fault_text
@@ -19,6 +19,7 @@ import msgspec
 from firmware_sim.faults.fault_text import parse_fault
 from hil.core.documents import Document, from_toml
 from hil.core.errors import DocumentError
+from hil.core.rig import BitRate
 from hil.core.suggestions import did_you_mean
 
 SHIPPED = Path(__file__).parent / "shipped"
@@ -34,6 +35,8 @@ class Setup(Document, frozen=True):
     """Controller of an axis, as ``hil run --controller`` takes it."""
     conditions: list[str] = msgspec.field(default_factory=list)
     """Faults and events that belong to the set-up, such as the load ``payload:3@0``."""
+    bit_rate: BitRate | None = None
+    """Bit rate in bit/s of a modelled bus, on which frames take time and wait."""
 
 
 class FaultCase(Document, frozen=True):

@@ -96,9 +96,9 @@ def run_case(prepared: PreparedCampaign, number: int, record: Path | None = None
 def _build(prepared: PreparedCampaign, case: Case, drawn: dict[str, float], seed: int) -> LockstepRig:
     setup = build_setup(prepared.setups[case.setup])
     plant = Arm(_arm(tuple(drawn.items())), seed=seed, wiring=wiring(setup.rig))
-    conditions = prepared.campaign.setups[case.setup].conditions
-    faults = [*conditions, *([case.fault_text] if case.fault_text else [])]
-    return LockstepRig(setup, plant=plant, faults=faults, seed=seed)
+    chosen = prepared.campaign.setups[case.setup]
+    faults = [*chosen.conditions, *([case.fault_text] if case.fault_text else [])]
+    return LockstepRig(setup, plant=plant, faults=faults, seed=seed, bit_rate=chosen.bit_rate)
 
 
 @functools.lru_cache(maxsize=1)

@@ -30,7 +30,7 @@ def parser() -> CommandParser:
     """Return the parser of the arguments of ``hil campaign``."""
     command = CommandParser(prog="hil campaign", description=DESCRIPTION)
     command.add_argument(
-        "campaign", metavar="CAMPAIGN", help="campaign file, or a shipped one: faults, robustness"
+        "campaign", metavar="CAMPAIGN", help="campaign file, or a shipped one: bus, faults, robustness"
     )
     command.add_argument(
         "--output", type=Path, metavar="DIR", help="folder of the results (default campaigns/<name>)"

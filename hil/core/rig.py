@@ -52,6 +52,7 @@ Periods = Annotated[int, msgspec.Meta(ge=1, le=1000)]
 Timeout = Annotated[float, msgspec.Meta(ge=0.001, le=MAX_HEARTBEAT_TIMEOUT_S)]
 Channel = Annotated[int, msgspec.Meta(ge=1, le=CHANNELS)]
 Volts = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
+BitRate = Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)]
 Position = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 
 
@@ -93,7 +94,7 @@ class Bus(Document, frozen=True):
     A rig file without this key is older than version 2, so the default is 1. Modules without counter and CRC
     (``protected = false``) send the same frames in both versions.
     """
-    bit_rate: Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)] | None = None
+    bit_rate: BitRate | None = None
     """Bit rate in bit/s. Simulated time then has a bus model, in which frames take time and wait.
 
     None: frames in simulated time arrive at once. A real bus has the bit rate of its interface.

@@ -72,4 +72,4 @@ class BusLockstep(Lockstep):
             if frame.is_error:
                 self._to_gateway(gateway_side, (frame,))
             else:
-                self._bus.send_from_boards(frame, self._now_ns)
+                self._bus.send_from_board(frame, self._now_ns)

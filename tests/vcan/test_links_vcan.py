@@ -139,7 +139,7 @@ class TestInterfaceThatGoesDown(Unplugging):
 
 
 class TestInterfaceThatDisappears(Unplugging):
-    """As an USB adapter does."""
+    """The interface is removed, as when a USB adapter is unplugged."""
 
     @pytest.fixture
     def pair(self) -> Iterator[Pair]:

@@ -21,9 +21,11 @@ from hil.links.bus_model.controller import Controller, ErrorState
 
 NEVER: Final = 2**63 - 1
 """Time of an event that is not due, in nanoseconds."""
+LONE_ERROR_FRAME_BITS: Final = 14
+"""Length of the error frame of a node without others: its flag (6) and the delimiter (8)."""
 ERROR_FRAME_BITS: Final = 20
-"""Length of an error frame: the flags of all nodes (6 bits, and 6 of those that see only the first flag) and
-the delimiter (8)."""
+"""Length of an error frame on a bus of several nodes. Those that see only the flag send flags of their own (6
+more bits)."""
 SUSPEND_BITS: Final = 8
 """Time after the intermission in which an error-passive controller that has just sent may not send again."""
 RECESSIVE_BITS: Final = 11
@@ -74,6 +76,7 @@ class CanBus:
         self._began_ns = 0
         self._free_ns = 0
         """Time from which the next frame may begin."""
+        self._intermission_ns = self.duration_ns(INTERMISSION_BITS)
         self._is_destroyed = self._is_unacknowledged = False
         self._counts_errors = False
         """True once an error occurred; before, all error counters are 0."""
@@ -148,7 +151,10 @@ class CanBus:
         bits = bits_on_wire(best[1])
         broken = self._broken_bit(self._sender, bits)
         self._is_destroyed = broken is not None
-        length = bits - INTERMISSION_BITS if broken is None else broken + ERROR_FRAME_BITS
+        if broken is None:
+            length = bits - INTERMISSION_BITS
+        else:
+            length = broken + (LONE_ERROR_FRAME_BITS if self._is_unacknowledged else ERROR_FRAME_BITS)
         if self._counts_errors:
             self._count_idle_bits(now_ns)
         self._began_ns = now_ns
@@ -157,6 +163,8 @@ class CanBus:
 
     def _broken_bit(self, sender: Controller, bits: int) -> int | None:
         """Return the bit of a frame at which an error is detected; None for a good frame."""
+        if not (self.disturbances or self._counts_errors) and len(self._controllers) > 1:
+            return None
         for disturbance in self.disturbances:
             broken = disturbance(sender.name, bits)
             if broken is not None:
@@ -171,7 +179,7 @@ class CanBus:
         """End the frame on the wire, or the error frame that destroyed it."""
         sender = self._sender
         self.is_busy = False
-        self._free_ns = now_ns + self.duration_ns(INTERMISSION_BITS)
+        self._free_ns = now_ns + self._intermission_ns
         self.busy_ns += self._free_ns - self._began_ns
         frame = None
         if self._is_destroyed:

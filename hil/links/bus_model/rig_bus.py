@@ -102,8 +102,8 @@ class RigBus:
         bus = self._own_bus if self._unplugged else self._bus
         return bus.send(self.gateway, frame, now_ns)
 
-    def send_from_boards(self, frame: Frame, now_ns: int) -> None:
-        """Take a frame of the boards. The node id in its identifier says which board sends it."""
+    def send_from_board(self, frame: Frame, now_ns: int) -> None:
+        """Take a frame of a board. The node id in its identifier says which board sends it."""
         controller = self.dac if frame.id & _NODE_MASK == DAC_NODE else self.adc
         self._bus.send(controller, frame, now_ns)
 

@@ -111,13 +111,13 @@ ON_A_BUS = {
     "error-frames:100%,adc@0": ("adc: no good sample for 5 periods, limit 5", STALE + 1),
     "flood:1,0.0002@0": ("adc: no good sample for 5 periods, limit 5", WATCHDOG + 1),
 }
-"""As FAULTS, for faults that act only on a modelled bus: they need a bit rate."""
+"""Faults that act only on a modelled bus, each with its reason and its largest number of periods."""
 
 TOLERATED_ON_A_BUS = ["error-frames:10%@0", "error-frames:30%,adc@0", "flood:1,0.001@0"]
-"""As TOLERATED, on a modelled bus."""
+"""Faults of a modelled bus after which control goes on."""
 
 TWO_SYNCS_LONG = "hang:adc@0/0.02"
-"""On a modelled bus, the board misses two SYNCs in this time and not one, which is a fault."""
+"""Fault during which the board misses two SYNCs on a modelled bus, and one without: two are a fault."""
 
 UNDETECTED = {
     "alter:command,1@0": "a value that is altered with a correct CRC cannot be distinguished from a good one",

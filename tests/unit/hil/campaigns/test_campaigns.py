@@ -162,14 +162,26 @@ def test_a_parameter_that_the_arm_does_not_have_is_an_error() -> None:
 
 
 def test_an_unknown_campaign_is_an_error_with_the_shipped_ones() -> None:
-    with pytest.raises(DocumentError, match=r"none of the shipped faults, robustness; did you mean faults\?"):
+    with pytest.raises(
+        DocumentError, match=r"none of the shipped bus, faults, robustness; did you mean faults\?"
+    ):
         find_campaign("fault")
 
 
-@pytest.mark.parametrize("name", ["faults", "robustness"])
+@pytest.mark.parametrize("name", ["bus", "faults", "robustness"])
 def test_shipped_campaigns_can_be_read(name: str) -> None:
     shipped = read_campaign(find_campaign(name).read_text(), name)
     assert case_count(shipped) >= 200
+
+
+def test_a_set_up_with_a_bit_rate_has_a_modelled_bus(tmp_path: Path) -> None:
+    shipped = read_campaign(find_campaign("bus").read_text(), "bus")
+    numbers = {case_at(shipped, number).fault_text: number for number in range(case_count(shipped) // 3)}
+    destroyed = run_case(prepare(shipped), numbers["error-frames:10%@running+0.6"], tmp_path / "case.mcap")
+    assert (destroyed.verdict, destroyed.state) == ("pass", "RUNNING")
+    assert int(open_recording(tmp_path / "case.mcap").metadata["ending"]["frames destroyed on the bus"]) > 10
+    flooded = run_case(prepare(shipped), numbers["flood:1,0.0002@running+0.6"])
+    assert (flooded.verdict, flooded.state) == ("pass", "FAULT")
 
 
 def test_commands_are_judged_by_magnitude_and_rate() -> None:

@@ -122,7 +122,7 @@ class TestArbitration:
         bench.send(1, Frame(0x600))
         assert [frame.id for frame in bench.run()] == [0x600, 0x700, 0x001]
 
-    @settings(max_examples=200)
+    @settings(max_examples=60, deadline=None)
     @given(st.lists(st.integers(0, 0x7FF), min_size=1, max_size=8, unique=True))
     def test_frames_of_many_nodes_arrive_by_identifier(self, identifiers: list[int]) -> None:
         bench = Bench(nodes=len(identifiers))
@@ -246,6 +246,17 @@ class TestErrors:
         assert bench.nodes[0].state is ErrorState.ERROR_PASSIVE
         assert len(bench.nodes[0].queue) == 1
 
+    def test_its_attempts_end_at_the_acknowledgement_that_is_missing(self) -> None:
+        bench = Bench(nodes=1)
+        bench.send(0, Frame(0x100))
+        attempt = bits_on_wire(Frame(0x100)) - 11 + 14 + 3
+        passive = attempt + 8
+        end_ns = (16 * attempt + 10 * passive - 3) * BIT_NS
+        bench.run(until_ns=end_ns - 1)
+        assert bench.bus.error_frames == 25
+        bench.run(until_ns=end_ns)
+        assert bench.bus.error_frames == 26
+
     def test_its_frame_is_sent_when_another_node_joins(self) -> None:
         bench = Bench(nodes=1)
         bench.send(0, Frame(0x100))
@@ -358,7 +369,7 @@ steps = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(steps, st.integers(0, 5))
 def test_frames_overlap_never_and_none_is_lost_or_doubled(
     sends: list[tuple[int, int, bytes, int, bool]], errors: int

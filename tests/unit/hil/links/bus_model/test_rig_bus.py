@@ -44,7 +44,7 @@ class Bench:
 def test_each_side_receives_what_the_other_sends() -> None:
     bench = Bench()
     bench.send(SYNC)
-    bench.bus.send_from_boards(SAMPLE, 0)
+    bench.bus.send_from_board(SAMPLE, 0)
     bench.run()
     assert (bench.at_boards, bench.at_gateway) == ([SYNC], [SAMPLE])
 
@@ -58,8 +58,8 @@ def test_both_sides_receive_foreign_frames() -> None:
 
 def test_the_node_id_says_which_board_sends() -> None:
     bench = Bench()
-    bench.bus.send_from_boards(SAMPLE, 0)
-    bench.bus.send_from_boards(READ_BACK, 0)
+    bench.bus.send_from_board(SAMPLE, 0)
+    bench.bus.send_from_board(READ_BACK, 0)
     assert (len(bench.bus.adc.queue), len(bench.bus.dac.queue)) == (1, 1)
 
 
@@ -77,7 +77,7 @@ class TestUnplugged:
         bench = Bench()
         bench.unplug()
         assert bench.send(*[SYNC] * 12) == [True] * 10 + [False] * 2
-        bench.bus.send_from_boards(SAMPLE, 0)
+        bench.bus.send_from_board(SAMPLE, 0)
         bench.bus.send_foreign(FOREIGN, 0)
         bench.run()
         assert bench.at_boards == [FOREIGN]
@@ -126,7 +126,7 @@ class TestUnplugged:
 
 
 class TestBusOff:
-    def test_the_gateway_is_told_and_refuses_frames_until_it_has_recovered(self) -> None:
+    def test_the_gateway_receives_a_report_and_refuses_frames_until_it_has_recovered(self) -> None:
         bench = Bench()
         assert bench.bus.take_gateway_off(0) == BUS_OFF
         assert bench.send(SYNC) == [False]
@@ -137,10 +137,18 @@ class TestBusOff:
         assert bench.at_gateway == [RESTARTED]
         assert bench.send(SYNC) == [True]
 
+    def test_a_second_fault_of_this_kind_changes_nothing(self) -> None:
+        bench = Bench()
+        for _ in range(2):
+            assert bench.bus.take_gateway_off(0) == BUS_OFF
+        bench.bus.restart(0)
+        bench.run(duration_ns=RECOVERY_NS)
+        assert bench.send(SYNC) == [True]
+
     def test_boards_go_on_without_the_gateway(self) -> None:
         bench = Bench()
         bench.bus.take_gateway_off(0)
-        bench.bus.send_from_boards(SAMPLE, 0)
+        bench.bus.send_from_board(SAMPLE, 0)
         bench.run()
         assert bench.bus.frames == 1
         assert bench.at_gateway == [], "a controller that is bus-off receives nothing"
@@ -157,10 +165,10 @@ class TestBusOff:
         bench = Bench()
         disturbance = bench.bus.disturbances
         disturbance.append(lambda sender, _bits: 20 if sender == "adc" else None)
-        bench.bus.send_from_boards(SAMPLE, 0)
+        bench.bus.send_from_board(SAMPLE, 0)
         bench.run(duration_ns=4_000_000)
         disturbance.clear()
         bench.run()
-        bench.bus.send_from_boards(SAMPLE, bench.now_ns)
+        bench.bus.send_from_board(SAMPLE, bench.now_ns)
         bench.run()
         assert bench.at_gateway[-1] == SAMPLE
