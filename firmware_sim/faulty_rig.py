@@ -21,7 +21,15 @@ from firmware_sim.boards.dac import DacBoard
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from firmware_sim.faults.condition import Condition, Observation, parse_condition
 from firmware_sim.faults.fault_text import fault_text, parse_fault
-from firmware_sim.faults.frame_faults import FrameChanger, FrameDestroyer, counter_of, counts_of, pdo
+from firmware_sim.faults.frame_faults import (
+    Arrival,
+    FrameChanger,
+    FrameDestroyer,
+    changed_by,
+    counter_of,
+    counts_of,
+    pdo,
+)
 from firmware_sim.faults.host import HostTiming
 from firmware_sim.faults.kinds import (
     FRAME_IDS,
@@ -208,17 +216,14 @@ class FaultyRig:
         """Let the active faults change a frame. Returns what arrives now; the rest is on the agenda."""
         if self._silences:
             return ()
-        arrivals = [(frame, 0)]
+        arrivals = [Arrival(frame)]
         for _, changer in self._changers:
-            if changer.identifier == frame.id:
-                arrivals = [
-                    (changed, delay_ns + more_ns)
-                    for before, delay_ns in arrivals
-                    for changed, more_ns in changer.change(before)
-                ]
+            arrivals = [arrival for before in arrivals for arrival in changed_by(changer, before)]
         now: Frames = ()
-        for arriving, delay_ns in arrivals:
-            if delay_ns:
+        for arriving, delay_ns, is_additional in arrivals:
+            if is_additional:
+                self._schedule(now_ns + delay_ns, partial(self._from_stranger, arriving))
+            elif delay_ns:
                 self._schedule(now_ns + delay_ns, partial(self._arrive_late, arriving, to_gateway))
             else:
                 now += (arriving,)

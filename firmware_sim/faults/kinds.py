@@ -141,6 +141,13 @@ class Miscount(FrameFault, frozen=True, tag="miscount"):
     amount: Amount = ALL
 
 
+class Mislabel(FrameFault, frozen=True, tag="mislabel"):
+    """A copy of frames is on the bus under the identifier of another frame, ``label``, with the same data."""
+
+    label: FrameName
+    amount: Amount = ALL
+
+
 class Foreign(FrameFault, frozen=True, tag="foreign"):
     """A node that is no part of the rig sends this frame every ``interval_s`` seconds.
 
@@ -274,7 +281,7 @@ class StepClock(Fault, frozen=True, tag="step clock"):
     step_s: Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 
 
-FrameChange = Lose | Late | Repeat | Reorder | Corrupt | Alter | Miscount
+FrameChange = Lose | Late | Repeat | Reorder | Corrupt | Alter | Miscount | Mislabel
 """A fault that changes frames on their way."""
 SensorFault = FreezeSensor | DriftSensor | NoisySensor | OffsetSensor
 ValveFault = StickValve | SlowValve
@@ -287,6 +294,7 @@ AnyFault = (
     | Corrupt
     | Alter
     | Miscount
+    | Mislabel
     | Foreign
     | Flood
     | BusOff

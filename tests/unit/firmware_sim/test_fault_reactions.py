@@ -42,6 +42,7 @@ FAULTS = {
     "alter:sample@0": ("vertical: the position changes by", 60),
     "miscount:sample,5,1@0": ("shows more answers than unanswered SYNCs (1)", 1),
     "miscount:command,-1,1@0": ("dac: EMCY 0x8200 (protocol error)", 1),
+    "mislabel:sample,command,1@0": ("bus: foreign RPDO1_DAC frame", 1),
     "foreign:sample,0.005@0": ("another node sends the same identifier", 3),
     "foreign:sync,0.005@0": ("bus: foreign SYNC frame", 0),
     "foreign:nmt,0.05@0": ("bus: foreign NMT frame", 0),
@@ -67,6 +68,7 @@ WITH_INPUTS = {
     "lose:inputs@0": ("emergency stop: no good frame 0x290 for", 9),
     "corrupt:inputs@0": ("last frame rejected: frame 0x290: CRC", 9),
     "emergency-stop:pressed@0": ("emergency stop", 1),
+    "twin:dac@0": ("dac: TPDO1_DAC: more answers than SYNCs", 4),
     "lose:read-back@0": ("dac: no read-back of the valves (TPDO1_DAC) for 5 periods", 6),
 }
 """The same as FAULTS, for a rig file with read-back and an emergency stop, whose timeout_s is 9 periods."""
@@ -93,6 +95,7 @@ TOLERATED = [
     "corrupt:sample,10%@0",
     "alter:sample,1@0",
     "miscount:sample,-1,1@0",
+    "mislabel:command,sample@0",
     "unplug@0/0.02",
     "hang:adc@0/0.02",
     "hang:dac@0/0.03",
