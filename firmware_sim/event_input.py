@@ -7,8 +7,8 @@ import socket
 
 from firmware_sim.arm.event_text import FORMS, parse_event
 from firmware_sim.faults.fault_text import has_fault, parse_fault
-from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault
-from firmware_sim.faulty_rig import FaultyRig, check_faults
+from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
+from firmware_sim.faulty_rig import FaultyRig, check_faults, no_process
 from hil.core.errors import DocumentError, HilError
 from hil.core.rig import Rig
 
@@ -30,6 +30,8 @@ def parse_present_event(text: str) -> AnyFault:
         fault = parse_fault(f"{head}@0{slash}{duration}", source)
     else:
         fault = _arm_event(text)
+    if isinstance(fault, ProcessFault):
+        raise DocumentError(no_process(fault))
     if isinstance(fault, HostFault):
         raise DocumentError(f"{source}: acts on the gateway's host in simulated time only")
     return fault

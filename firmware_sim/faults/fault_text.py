@@ -29,7 +29,8 @@ FORMS: Final = (
     "error-frames[:AMOUNT[,SENDER]] (in simulated time with a bit rate only); boards: reset:BOARD, "
     "hang:BOARD, babble:BOARD,INTERVAL_S, twin:BOARD; sensors: freeze-sensor:AXIS, "
     "drift-sensor:AXIS,V_PER_S, noisy-sensor:AXIS,RMS_V, offset-sensor:AXIS,V; valves: stick-valve:AXIS, "
-    "slow-valve:AXIS,LAG_S; host, in simulated time only: stall:S, step-clock:S; and every event of the arm"
+    "slow-valve:AXIS,LAG_S; host, in simulated time only: stall:S, step-clock:S; processes, in rigs of real "
+    "processes only: kill:PROCESS, pause:PROCESS, fill-disk; and every event of the arm"
 )
 """Forms of all faults without their time, for help texts and errors."""
 WHEN_FORMS: Final = "@SECONDS, @running, @AXIS>POSITION or @CONDITION+SECONDS, then optionally /DURATION_S"

@@ -15,7 +15,7 @@ import pytest
 from support.shipped_rig import RIG_TEXT
 
 from firmware_sim.faults.fault_text import parse_fault
-from firmware_sim.faults.kinds import AnyFault, ArmFault
+from firmware_sim.faults.kinds import AnyFault, ArmFault, ProcessFault
 from hil.lockstep_rig import LockstepRig
 
 CENTRED = (5.0, 5.0, 5.0)
@@ -260,5 +260,8 @@ def test_a_fault_that_the_gateway_cannot_stop_is_reported(fault: str) -> None:
 
 def test_each_kind_of_fault_has_an_expected_reaction() -> None:
     texts = [*FAULTS, *ON_A_BUS, *STANDING, *TOLERATED, *UNDETECTED, *UNSTOPPABLE]
-    assert {type(parse_fault(text)) for text in texts} == set(get_args(AnyFault))
+    # Faults of processes are in tests/acceptance/test_process_faults.py.
+    assert {type(parse_fault(text)) for text in texts} == set(get_args(AnyFault)) - set(
+        get_args(ProcessFault)
+    )
     assert any(isinstance(parse_fault(text), ArmFault) for text in texts)
