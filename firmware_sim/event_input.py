@@ -1,4 +1,4 @@
-"""Events and faults that begin while the rig is simulated, read from a socket: one text a message."""
+"""Events and faults that are asked for while the rig is simulated, read from a socket: one text a message."""
 
 from __future__ import annotations
 
@@ -7,23 +7,56 @@ import socket
 
 from firmware_sim.arm.event_text import FORMS, parse_event
 from firmware_sim.faults.fault_text import has_fault, parse_fault
-from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault
-from firmware_sim.faulty_rig import FaultyRig
+from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
+from firmware_sim.faulty_rig import FaultyRig, check_faults, no_process
 from hil.core.errors import DocumentError, HilError
+from hil.core.rig import Rig
 
 MAX_TEXT_BYTES = 4096
 """Largest text of an event."""
 
 
 def parse_present_event(text: str) -> AnyFault:
-    """Return the event of a text without a time, such as ``payload:3``, or the fault, such as ``hang:adc``.
+    """Return the event or the fault of a text whose time counts from now.
 
-    A fault may have a duration, such as ``unplug/0.5``. Raises DocumentError.
+    Without a time, as in ``payload:3``, ``hang:adc`` or ``unplug/0.5``, it begins at once. With one, as in
+    ``payload:3@2`` or ``hang:adc@vertical>0.05``, it is armed. Raises DocumentError.
     """
+    source = f"event {text!r}"
+    head, slash, duration = text.partition("/")
     if "@" in text:
-        raise DocumentError(f"event {text!r}: happens at once; omit {text[text.index('@') :]!r}")
-    if has_fault(re.split("[:/]", text)[0]):
-        return _present_fault(text)
+        fault = parse_fault(text, source)
+    elif has_fault(re.split("[:/]", text)[0]):
+        fault = parse_fault(f"{head}@0{slash}{duration}", source)
+    else:
+        fault = _arm_event(text)
+    if isinstance(fault, ProcessFault):
+        raise DocumentError(no_process(fault))
+    if isinstance(fault, HostFault):
+        raise DocumentError(f"{source}: acts on the gateway's host in simulated time only")
+    return fault
+
+
+def check_arm_event(text: str, rig: Rig) -> None:
+    """Check that an event or fault can happen to the boards of ``rig`` and the pneumatic arm.
+
+    Raises DocumentError.
+    """
+    check_faults([parse_present_event(text)], rig)
+
+
+def check_model_event(text: str, rig: Rig) -> None:
+    """Check that a fault can happen to the boards of ``rig`` before linear models. Raises DocumentError."""
+    fault = parse_present_event(text)
+    if isinstance(fault, ArmFault):
+        raise DocumentError(
+            f"event {text!r}: acts on the pneumatic arm, but a linear model is simulated (--linear or "
+            "--plant); faults of bus, boards, sensors and valves can begin"
+        )
+    check_faults([fault], rig)
+
+
+def _arm_event(text: str) -> ArmFault:
     try:
         return ArmFault(parse_event(f"{text}@0"))
     except DocumentError as error:
@@ -35,14 +68,6 @@ def parse_present_event(text: str) -> AnyFault:
         raise
 
 
-def _present_fault(text: str) -> AnyFault:
-    head, slash, duration = text.partition("/")
-    fault = parse_fault(f"{head}@0{slash}{duration}")
-    if isinstance(fault, HostFault):
-        raise DocumentError(f"event {text!r}: acts on the gateway's host in simulated time only")
-    return fault
-
-
 class EventInput:
     """Reads events and faults from the socket ``descriptor``, and gives them to ``rig`` without waiting."""
 
@@ -52,7 +77,7 @@ class EventInput:
         self._socket.setblocking(False)
 
     def update(self, now_ns: int) -> None:
-        """Let an event that has arrived begin at the rig's next deadline, which is now.
+        """Let an event that has arrived begin at the rig's next deadline, which is now, or arm it.
 
         A text that is no event is ignored: its sender checks it.
         """

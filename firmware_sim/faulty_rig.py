@@ -21,7 +21,15 @@ from firmware_sim.boards.dac import DacBoard
 from firmware_sim.boards.faults import AdcFaults, DacFaults
 from firmware_sim.faults.condition import Condition, Observation, parse_condition
 from firmware_sim.faults.fault_text import fault_text, parse_fault
-from firmware_sim.faults.frame_faults import FrameChanger, FrameDestroyer, counter_of, counts_of, pdo
+from firmware_sim.faults.frame_faults import (
+    Arrival,
+    FrameChanger,
+    FrameDestroyer,
+    changed_by,
+    counter_of,
+    counts_of,
+    pdo,
+)
 from firmware_sim.faults.host import HostTiming
 from firmware_sim.faults.kinds import (
     FRAME_IDS,
@@ -31,12 +39,16 @@ from firmware_sim.faults.kinds import (
     BusOff,
     DriftSensor,
     ErrorFrames,
+    FillDisk,
     Flood,
     Foreign,
     FreezeSensor,
     Hang,
+    Kill,
     NoisySensor,
     OffsetSensor,
+    Pause,
+    ProcessFault,
     Reset,
     SlowValve,
     Stall,
@@ -208,17 +220,14 @@ class FaultyRig:
         """Let the active faults change a frame. Returns what arrives now; the rest is on the agenda."""
         if self._silences:
             return ()
-        arrivals = [(frame, 0)]
+        arrivals = [Arrival(frame)]
         for _, changer in self._changers:
-            if changer.identifier == frame.id:
-                arrivals = [
-                    (changed, delay_ns + more_ns)
-                    for before, delay_ns in arrivals
-                    for changed, more_ns in changer.change(before)
-                ]
+            arrivals = [arrival for before in arrivals for arrival in changed_by(changer, before)]
         now: Frames = ()
-        for arriving, delay_ns in arrivals:
-            if delay_ns:
+        for arriving, delay_ns, is_additional in arrivals:
+            if is_additional:
+                self._schedule(now_ns + delay_ns, partial(self._from_stranger, arriving))
+            elif delay_ns:
                 self._schedule(now_ns + delay_ns, partial(self._arrive_late, arriving, to_gateway))
             else:
                 now += (arriving,)
@@ -277,6 +286,8 @@ class FaultyRig:
             raise DocumentError(
                 f"fault {fault_text(parsed)!r} acts on the pneumatic arm, but another plant is simulated"
             )
+        if isinstance(parsed, ProcessFault):
+            raise DocumentError(no_process(parsed))
         if isinstance(parsed, ErrorFrames) and self._bus is None:
             raise DocumentError(
                 f"fault {fault_text(parsed)!r} needs a modelled bus: write bit_rate = 500000 under [bus] "
@@ -345,6 +356,8 @@ class FaultyRig:
                 self.host.stall(now_ns, round(stall_s * 1e9))
             case StepClock(step_s=step_s):
                 self.host.step_clock(round(step_s * 1e9))
+            case Kill() | Pause() | FillDisk():
+                raise AssertionError("refused when it was armed")
             case _:
                 self._changers.append((fault, FrameChanger(fault, random, self._rig.bus.wire_version)))
         return ()
@@ -420,6 +433,15 @@ class FaultyRig:
         node = ADC_NODE if name == "adc" else DAC_NODE
         twin.receive(Frame(NMT_ID, bytes((NmtCommand.START, node))), now_ns)
         return twin
+
+
+def no_process(fault: ProcessFault) -> str:
+    """Return why a fault of a process cannot begin in a simulated rig, and what to use in its place."""
+    return (
+        f"fault {fault_text(fault)!r} acts on a process of the gateway, and a simulated rig has none: use "
+        "VcanGateway.inject_fault of hil.testing. In simulated time, unplug is what the boards see of a "
+        "killed gateway, and stall:S of a paused one; nothing is written before the end of the run"
+    )
 
 
 def check_faults(faults: Iterable[AnyFault], rig: Rig) -> None:

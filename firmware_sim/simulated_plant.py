@@ -17,8 +17,8 @@ from firmware_sim.arm.event_text import event_text, parse_event
 from firmware_sim.arm.events import AnyEvent
 from firmware_sim.arm.wiring import Wires, wiring
 from firmware_sim.faults.fault_text import fault_text, parse_fault
-from firmware_sim.faults.kinds import AnyFault, HostFault
-from firmware_sim.faulty_rig import FaultyRig
+from firmware_sim.faults.kinds import AnyFault, HostFault, ProcessFault
+from firmware_sim.faulty_rig import FaultyRig, no_process
 from firmware_sim.plant_files import AxisPlant, read_axis_plants
 from firmware_sim.plant_options import check_plant_options, named_plants
 from firmware_sim.plants.plant import Plant
@@ -129,8 +129,10 @@ def planned_faults(options: argparse.Namespace) -> list[AnyFault]:
 
 
 def refuse_host_faults(options: argparse.Namespace) -> None:
-    """Raise DocumentError for faults of the gateway's host, which real time does not have."""
+    """Raise DocumentError for faults of the gateway's host, which the boards in real time do not have."""
     for fault in planned_faults(options):
+        if isinstance(fault, ProcessFault):
+            raise DocumentError(no_process(fault))
         if isinstance(fault, HostFault):
             raise DocumentError(
                 f"fault {fault_text(fault)!r} acts on the gateway's host in simulated time only; use hil run "

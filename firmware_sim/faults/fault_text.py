@@ -24,12 +24,13 @@ from hil.core.suggestions import did_you_mean
 
 FORMS: Final = (
     "frames: lose:FRAME[,AMOUNT], late:FRAME,S[,AMOUNT], repeat:FRAME[,AMOUNT], reorder:FRAME[,AMOUNT], "
-    "corrupt:FRAME[,AMOUNT], alter:FRAME[,AMOUNT], miscount:FRAME,STEP[,AMOUNT], foreign:FRAME,INTERVAL_S, "
-    "flood:ID,INTERVAL_S; bus: bus-off, unplug, error-frames[:AMOUNT[,SENDER]] (in simulated time with a "
-    "bit rate only); boards: reset:BOARD, hang:BOARD, babble:BOARD,INTERVAL_S, "
-    "twin:BOARD; sensors: freeze-sensor:AXIS, drift-sensor:AXIS,V_PER_S, noisy-sensor:AXIS,RMS_V, "
-    "offset-sensor:AXIS,V; valves: stick-valve:AXIS, slow-valve:AXIS,LAG_S; host, in simulated time only: "
-    "stall:S, step-clock:S; and every event of the arm"
+    "corrupt:FRAME[,AMOUNT], alter:FRAME[,AMOUNT], miscount:FRAME,STEP[,AMOUNT], "
+    "mislabel:FRAME,FRAME[,AMOUNT], foreign:FRAME,INTERVAL_S, flood:ID,INTERVAL_S; bus: bus-off, unplug, "
+    "error-frames[:AMOUNT[,SENDER]] (in simulated time with a bit rate only); boards: reset:BOARD, "
+    "hang:BOARD, babble:BOARD,INTERVAL_S, twin:BOARD; sensors: freeze-sensor:AXIS, "
+    "drift-sensor:AXIS,V_PER_S, noisy-sensor:AXIS,RMS_V, offset-sensor:AXIS,V; valves: stick-valve:AXIS, "
+    "slow-valve:AXIS,LAG_S; host, in simulated time only: stall:S, step-clock:S; processes, in rigs of real "
+    "processes only: kill:PROCESS, pause:PROCESS, fill-disk; and every event of the arm"
 )
 """Forms of all faults without their time, for help texts and errors."""
 WHEN_FORMS: Final = "@SECONDS, @running, @AXIS>POSITION or @CONDITION+SECONDS, then optionally /DURATION_S"
@@ -52,9 +53,12 @@ def has_fault(name: str) -> bool:
     return name in _KINDS
 
 
-def parse_fault(text: str) -> AnyFault:
-    """Return the fault that a text describes. Raises DocumentError with the text, the value and its limit."""
-    source = f"--fault {text!r}"
+def parse_fault(text: str, source: str | None = None) -> AnyFault:
+    """Return the fault that a text describes. ``source`` names the text in errors.
+
+    Raises DocumentError with the text, the value and its limit.
+    """
+    source = source or f"--fault {text!r}"
     match = _FORM.fullmatch(text)
     if match is None:
         raise DocumentError(f"{source}: not a fault; write NAME:VALUES and its time ({WHEN_FORMS}). {FORMS}")

@@ -17,6 +17,7 @@ from firmware_sim.faults.kinds import (
     Late,
     Lose,
     Miscount,
+    Mislabel,
     Reorder,
     Repeat,
 )
@@ -34,6 +35,8 @@ class Arrival(NamedTuple):
 
     frame: Frame
     delay_ns: int = 0
+    is_additional: bool = False
+    """True if the frame is not the receiver's own, so that gateway and boards receive it."""
 
 
 class Selection:
@@ -102,6 +105,8 @@ class FrameChanger:
                 return (Arrival(self._with_altered_value(frame)),)
             case Miscount(step=step):
                 return (Arrival(with_counter_step(frame, step, self._wire_version)),)
+            case Mislabel(label=label):
+                return Arrival(frame), Arrival(Frame(FRAME_IDS[label], frame.data), is_additional=True)
 
     def _with_inverted_bit(self, frame: Frame) -> Frame:
         if not frame.data:
@@ -117,6 +122,16 @@ class FrameChanger:
         counts[channel] ^= 1 << self._random.randrange(_VALUE_BITS)
         first, second, third = counts
         return pdo(frame.id, (first, second, third), counter_of(frame), self._wire_version)
+
+
+def changed_by(changer: FrameChanger, before: Arrival) -> tuple[Arrival, ...]:
+    """Return what arrives in place of ``before``, which another fault may have delayed already."""
+    if before.frame.id != changer.identifier or before.is_additional:
+        return (before,)
+    return tuple(
+        arrival._replace(delay_ns=before.delay_ns + arrival.delay_ns)
+        for arrival in changer.change(before.frame)
+    )
 
 
 def counts_of(frame: Frame) -> tuple[int, int, int]:

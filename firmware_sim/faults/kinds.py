@@ -65,6 +65,7 @@ FrameName = Literal[
 ]
 PdoName = Literal["sample", "command"]
 BoardName = Literal["adc", "dac"]
+ProcessName = Literal["gateway", "recorder"]
 SenderName = Literal["any", "gateway", "adc", "dac", "foreign"]
 AxisName = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 Share = Annotated[str, msgspec.Meta(pattern=r"^\d+(\.\d+)?%$")]
@@ -138,6 +139,13 @@ class Miscount(FrameFault, frozen=True, tag="miscount"):
 
     frame: PdoName
     step: Annotated[int, msgspec.Meta(ge=-128, le=127)]
+    amount: Amount = ALL
+
+
+class Mislabel(FrameFault, frozen=True, tag="mislabel"):
+    """A copy of frames is on the bus under the identifier of another frame, ``label``, with the same data."""
+
+    label: FrameName
     amount: Amount = ALL
 
 
@@ -274,11 +282,29 @@ class StepClock(Fault, frozen=True, tag="step clock"):
     step_s: Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 
 
-FrameChange = Lose | Late | Repeat | Reorder | Corrupt | Alter | Miscount
+class Kill(Fault, frozen=True, tag="kill"):
+    """A process of the gateway is killed (SIGKILL). For rigs of real processes only."""
+
+    process: ProcessName
+
+
+class Pause(Fault, frozen=True, tag="pause"):
+    """A process of the gateway does not run (SIGSTOP) for the duration. For rigs of real processes only."""
+
+    process: ProcessName
+
+
+class FillDisk(Fault, frozen=True, tag="fill disk"):
+    """The recorder can write no further byte. For rigs of real processes only."""
+
+
+FrameChange = Lose | Late | Repeat | Reorder | Corrupt | Alter | Miscount | Mislabel
 """A fault that changes frames on their way."""
 SensorFault = FreezeSensor | DriftSensor | NoisySensor | OffsetSensor
 ValveFault = StickValve | SlowValve
 HostFault = Stall | StepClock
+ProcessFault = Kill | Pause | FillDisk
+"""A fault of the gateway's processes, of which simulated time has none."""
 AnyFault = (
     Lose
     | Late
@@ -287,6 +313,7 @@ AnyFault = (
     | Corrupt
     | Alter
     | Miscount
+    | Mislabel
     | Foreign
     | Flood
     | BusOff
@@ -305,5 +332,8 @@ AnyFault = (
     | ArmFault
     | Stall
     | StepClock
+    | Kill
+    | Pause
+    | FillDisk
 )
 """A fault of any kind."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from importlib import import_module
+from threading import Lock
 from typing import Any, Final
 
 import hil
@@ -19,6 +20,10 @@ from hil.campaigns.runner import WAITING_PER_WORKER, groups_of, run_group
 from hil.core.errors import EnvironmentLackError, HilError
 
 CONNECT_TIMEOUT_S: Final = 10.0
+_ONE_AT_A_TIME: Final = Lock()
+"""A worker may have several threads. They would gain nothing here, and msgspec crashes if two of them use a
+type for the first time at once.
+"""
 
 
 def run_cases_on_dask(prepared: PreparedCampaign, first: int, address: str) -> Iterator[list[CaseResult]]:
@@ -39,6 +44,12 @@ def run_cases_on_dask(prepared: PreparedCampaign, first: int, address: str) -> I
     with client:
         _check_workers(client, address)
         yield from _in_order(distributed, client, prepared, first, address)
+
+
+def run_group_alone(prepared: PreparedCampaign, start: int, stop: int) -> list[CaseResult]:
+    """Run the cases from ``start`` to before ``stop``, while no other thread of this process runs any."""
+    with _ONE_AT_A_TIME:
+        return run_group(prepared, start, stop)
 
 
 def version() -> str:
@@ -85,7 +96,7 @@ def _in_order(
         while True:
             wanted = WAITING_PER_WORKER * max(sum(client.nthreads().values()), 1)
             while len(waiting) < wanted and (group := next(following, None)) is not None:
-                waiting.append(client.submit(run_group, prepared, *group, pure=False))
+                waiting.append(client.submit(run_group_alone, prepared, *group, pure=False))
             if not waiting:
                 return
             yield waiting.popleft().result()

@@ -14,13 +14,14 @@ from hil.shells.operator_port import Action
 from hil.shells.run_plan import StopRequest
 from hil.shells.session import Session
 
-EVENT_CHECK = "firmware_sim.event_input:parse_present_event"
-"""Function that checks the text of an event. The socket process imports it by this name."""
 
+def event_check(options: argparse.Namespace) -> str:
+    """Return the function that checks the text of an event. The socket process imports it by this name.
 
-def has_events(options: argparse.Namespace) -> bool:
-    """Return whether events can happen to simulated boards: not if a linear model replaces the arm."""
-    return not (options.linear or options.plant)
+    Only faults can happen if a linear model replaces the arm.
+    """
+    has_arm = not (options.linear or options.plant)
+    return f"firmware_sim.event_input:{'check_arm_event' if has_arm else 'check_model_event'}"
 
 
 def unseen_events(rig: Rig) -> dict[str, str]:
@@ -37,8 +38,8 @@ def daemon_actions(
 ) -> Mapping[type[LoopCall], Action]:
     """Return the action for each type of request.
 
-    ``stop`` ends the daemon. ``events`` leads to the simulated arm; None if there is none. ``unseen`` is the
-    result of :func:`unseen_events`.
+    ``stop`` ends the daemon. ``events`` leads to the simulated boards; None if there are none. ``unseen``
+    is the result of :func:`unseen_events`.
     """
 
     def shut_down(session: Session, _call: ShutdownCall, asked_by: str) -> Reply:
@@ -49,7 +50,7 @@ def daemon_actions(
     def happen(session: Session, call: EventCall, asked_by: str) -> Reply:
         session.note(LogEntry(Severity.INFO, "operator", f"{asked_by} asks: event {call.text}"))
         if events is None:
-            return Reply(False, "only the simulated arm has events")
+            return Reply(False, "only simulated boards have events")
         section = (unseen or {}).get(call.text.partition(":")[0])
         if section is not None:
             return Reply(
@@ -60,7 +61,8 @@ def daemon_actions(
             events.send(call.text.encode())
         except OSError as error:
             return Reply(False, f"the simulated boards take no events: {error.strerror}")
-        return Reply(True, f"event {call.text} happens now")
+        when = "is armed; its time counts from now" if "@" in call.text else "happens now"
+        return Reply(True, f"event {call.text} {when}")
 
     return {
         ShutdownCall: shut_down,

@@ -12,7 +12,7 @@ import traceback
 from firmware_sim.simulated_plant import planned_events
 from hil import __version__
 from hil.cli.confirmation import protection_warnings
-from hil.cli.daemon_actions import EVENT_CHECK, daemon_actions, has_events, unseen_events
+from hil.cli.daemon_actions import daemon_actions, event_check, unseen_events
 from hil.cli.live_page import live_views, make_feed
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
@@ -77,7 +77,9 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         feed, feed_warning = _feed(stack, setup, spec, epoch_offset_ns, recordings, options)
         log = LogLines()
         stack.callback(log.close)
-        facts = Facts(__version__, bus, setup.texts[RIG_NAME], None if events is None else EVENT_CHECK)
+        facts = Facts(
+            __version__, bus, setup.texts[RIG_NAME], None if events is None else event_check(options)
+        )
         pipe = stack.enter_context(socket_process(listener, facts))
         plan = OperatorPlan()
         loop = setup.rig.loop
@@ -126,13 +128,8 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
     return 0 if plan.ending is Ending.INTERRUPTED and failure is None else 1
 
 
-def _start_boards(
-    stack: contextlib.ExitStack, spec: str, options: argparse.Namespace
-) -> socket.socket | None:
-    """Start the simulated boards. Return the socket to their arm, or None if a linear model replaces it."""
-    if not has_events(options):
-        stack.enter_context(boards_process(spec, options))
-        return None
+def _start_boards(stack: contextlib.ExitStack, spec: str, options: argparse.Namespace) -> socket.socket:
+    """Start the simulated boards. Return the socket for their events."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours.setblocking(False)
     stack.enter_context(ours)

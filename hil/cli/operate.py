@@ -297,8 +297,9 @@ JOG = OperatorCommand(
 )
 EVENT = OperatorCommand(
     "event",
-    "Let something happen to the simulated arm now, or let a fault of the simulated rig begin. The forms are "
-    "those of `hil run --event` and `--fault` without their time; a fault may have a duration: unplug/0.5.",
+    "Let something happen to the simulated arm, or let a fault of the simulated rig begin. The forms are "
+    "those of `hil run --event` and `--fault`. Without a time it happens now. A time counts "
+    "from now: payload:3@2, hang:adc@vertical>0.05. A fault may have a duration: unplug/0.5.",
     _add_event_arguments,
     lambda client, options: client.event(options.event),
 )

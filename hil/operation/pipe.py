@@ -69,7 +69,10 @@ class Facts(msgspec.Struct, frozen=True):
     rig: str
     """Text of the rig file."""
     event_check: str | None = None
-    """``module:function`` that raises HilError for an event that cannot happen; None on a real bus."""
+    """``module:function`` that is given the text of an event and the rig; None on a real bus.
+
+    It raises HilError for an event that cannot happen.
+    """
 
 
 def pipe() -> tuple[socket.socket, socket.socket]:

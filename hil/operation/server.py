@@ -298,12 +298,12 @@ class Server:
     def _check_event(self, text: str) -> None:
         if self._facts.event_check is None:
             raise DocumentError(
-                f"event {text!r}: only the simulated arm has events; this daemon is on {self._facts.bus}"
+                f"event {text!r}: only simulated boards have events; this daemon is on {self._facts.bus}"
             )
         module, _, function = self._facts.event_check.partition(":")
         from importlib import import_module
 
-        getattr(import_module(module), function)(text)
+        getattr(import_module(module), function)(text, self._rig)
 
     def _check_peer(self, connection: socket.socket) -> tuple[Peer, str | None]:
         """Return who is at the other end, and why it is not served, if so."""

@@ -28,7 +28,8 @@ say why.
 The fixtures return a ``hil.LockstepRig``, or a :class:`GatewayAlone`, :class:`BoardsAlone`,
 :class:`VcanBoards`, :class:`VcanGateway` or :class:`VcanRig`. A fault such as ``lose:sample,5@2`` is
 injected by their method ``inject_fault``, by their option ``faults``, or by ``boards=["--fault", …]`` on
-``vcan0``.
+``vcan0``. Faults of the gateway's processes, ``kill:gateway@0``, ``pause:gateway@2/0.5``,
+``kill:recorder@0`` and ``fill-disk@0``, are injected by :meth:`VcanGateway.inject_fault`.
 
 With ``@pytest.mark.lockstep_rig(bit_rate=500_000)`` or ``bus.bit_rate`` in the rig file, the rig in simulated
 time has a modelled bus: frames take their bit times, wait by identifier, and are refused by a full queue.

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Final, Self
 from hil.core.errors import HilError
 from hil.host.child_process import await_end
 from hil.shells.run_setup import RIG_NAME, SHIPPED
+from hil.testing.process_faults import ProcessFaults
 
 if TYPE_CHECKING:
+    from firmware_sim.faults.kinds import AnyFault
     from hil.recording.reader import Recording
 
 PATIENT_LIMITS: Final = {
@@ -83,6 +85,7 @@ class VcanGateway:
         self._command.append("--no-plot")
         self._command += arguments
         self._process: subprocess.Popen[bytes] | None = None
+        self._faults: ProcessFaults | None = None
 
     @property
     def was_started(self) -> bool:
@@ -100,7 +103,18 @@ class VcanGateway:
                 stdout=output,
                 stderr=subprocess.STDOUT,
             )
+        self._faults = ProcessFaults(self._process.pid)
         return self._process
+
+    def inject_fault(self, fault: AnyFault | str) -> None:
+        """Let a fault of the gateway's processes begin, such as ``pause:gateway@0/0.5``, ``kill:recorder@2``
+        or ``fill-disk@0``. Its time counts from now.
+
+        Raises DocumentError for another kind of fault, and HilError if its process does not run.
+        """
+        if self._faults is None:
+            raise HilError("the gateway was not started; call start first")
+        self._faults.inject(fault)
 
     def wait(self, timeout_s: float) -> int:
         """Wait until the run is over; return its exit status. Raises HilError with its output."""
@@ -115,6 +129,8 @@ class VcanGateway:
 
     def stop(self) -> None:
         """End the run as Ctrl-C does: the valves are centred and the recording is complete."""
+        if self._faults is not None:
+            self._faults.end()
         if self._process is not None and self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
             await_end(self._process, END_TIMEOUT_S)

@@ -8,7 +8,7 @@ import pytest
 
 from firmware_sim import Arm, FaultyRig, SimulatedRig, read_arm, wiring
 from firmware_sim.arm.arm_file import shipped_arm_text
-from firmware_sim.event_input import EventInput, parse_present_event
+from firmware_sim.event_input import EventInput, check_arm_event, check_model_event, parse_present_event
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
 from hil.shells.run_setup import load_rig
@@ -59,14 +59,40 @@ def test_an_event_happens_when_it_arrives(arm: Arm, rig: FaultyRig) -> None:
     assert arm.view().payload_kg == 3.0
 
 
+def test_a_fault_with_a_time_or_a_condition_is_armed(arm: Arm, rig: FaultyRig) -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    events = EventInput(rig, theirs.detach())
+    for text in (b"payload:3@0.5", b"lose:sample,50%@vertical>0.05", b"hang:adc@running+1/0.2"):
+        ours.send(text)
+        events.update(10)
+    rig.on_deadline(10)
+    assert rig.begun == []
+    rig.on_deadline(500_000_010)
+    assert [text for _, text in rig.begun] == ["payload:3@0.5"]
+    assert arm.view().payload_kg == 3.0
+
+
+def test_events_are_checked_with_the_rig_and_the_plant() -> None:
+    settings = load_rig(None)
+    check_arm_event("payload:3", settings)
+    check_arm_event("freeze-sensor:vertical@running", settings)
+    check_model_event("freeze-sensor:vertical@rotation<0.1/2", settings)
+    for text in ("freeze-sensor:elbow", "hang:adc@elbow>0.1"):
+        with pytest.raises(DocumentError, match="elbow"):
+            check_model_event(text, settings)
+    with pytest.raises(DocumentError, match="acts on the pneumatic arm, but a linear model is simulated"):
+        check_model_event("leak:vertical,1,1e-8", settings)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("payload", "the forms are: payload:KG, supply-pressure:GAUGE_KPA"),
-        ("payload:3@4", "happens at once; omit '@4'"),
+        ("payload:3@soon", "event 'payload:3@soon': not a fault"),
         ("friction:vertical", "takes the values"),
         ("hang:third", "board is 'third'"),
         ("stall:1", "acts on the gateway's host in simulated time only"),
+        ("stall:1@2", "acts on the gateway's host in simulated time only"),
     ],
 )
 def test_a_text_that_is_no_event_is_explained(text: str, words: str) -> None:

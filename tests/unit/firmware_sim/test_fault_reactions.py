@@ -15,7 +15,7 @@ import pytest
 from support.shipped_rig import RIG_TEXT
 
 from firmware_sim.faults.fault_text import parse_fault
-from firmware_sim.faults.kinds import AnyFault, ArmFault
+from firmware_sim.faults.kinds import AnyFault, ArmFault, ProcessFault
 from hil.lockstep_rig import LockstepRig
 
 CENTRED = (5.0, 5.0, 5.0)
@@ -42,6 +42,7 @@ FAULTS = {
     "alter:sample@0": ("vertical: the position changes by", 60),
     "miscount:sample,5,1@0": ("shows more answers than unanswered SYNCs (1)", 1),
     "miscount:command,-1,1@0": ("dac: EMCY 0x8200 (protocol error)", 1),
+    "mislabel:sample,command,1@0": ("bus: foreign RPDO1_DAC frame", 1),
     "foreign:sample,0.005@0": ("another node sends the same identifier", 3),
     "foreign:sync,0.005@0": ("bus: foreign SYNC frame", 0),
     "foreign:nmt,0.05@0": ("bus: foreign NMT frame", 0),
@@ -67,6 +68,7 @@ WITH_INPUTS = {
     "lose:inputs@0": ("emergency stop: no good frame 0x290 for", 9),
     "corrupt:inputs@0": ("last frame rejected: frame 0x290: CRC", 9),
     "emergency-stop:pressed@0": ("emergency stop", 1),
+    "twin:dac@0": ("dac: TPDO1_DAC: more answers than SYNCs", 4),
     "lose:read-back@0": ("dac: no read-back of the valves (TPDO1_DAC) for 5 periods", 6),
 }
 """The same as FAULTS, for a rig file with read-back and an emergency stop, whose timeout_s is 9 periods."""
@@ -93,6 +95,7 @@ TOLERATED = [
     "corrupt:sample,10%@0",
     "alter:sample,1@0",
     "miscount:sample,-1,1@0",
+    "mislabel:command,sample@0",
     "unplug@0/0.02",
     "hang:adc@0/0.02",
     "hang:dac@0/0.03",
@@ -257,5 +260,8 @@ def test_a_fault_that_the_gateway_cannot_stop_is_reported(fault: str) -> None:
 
 def test_each_kind_of_fault_has_an_expected_reaction() -> None:
     texts = [*FAULTS, *ON_A_BUS, *STANDING, *TOLERATED, *UNDETECTED, *UNSTOPPABLE]
-    assert {type(parse_fault(text)) for text in texts} == set(get_args(AnyFault))
+    # Faults of processes are in tests/acceptance/test_process_faults.py.
+    assert {type(parse_fault(text)) for text in texts} == set(get_args(AnyFault)) - set(
+        get_args(ProcessFault)
+    )
     assert any(isinstance(parse_fault(text), ArmFault) for text in texts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -97,6 +98,20 @@ class TestDataUnderAWrongIdentifier:
         boards.command((6.0, 5.0, 5.0))
         boards.sync()
         assert boards.valve_v[0] == pytest.approx(6.0, abs=0.003)
+
+    @pytest.mark.parametrize("version", [1, 2])
+    def test_the_fault_library_sends_it(self, version: int, tmp_path: Path) -> None:
+        path = tmp_path / "rig.toml"
+        path.write_text(rig_text({"bus.wire_version": str(version)}))
+        boards = BoardsAlone(path, faults=["mislabel:sample,command@0"])
+        boards.boards.plant.state.axis[0].position_m += 0.05  # type: ignore[attr-defined]  # off the centre
+        boards.start_nodes()
+        boards.sync()
+        answers = boards.wait(0.001)
+        boards.sync()
+        is_refused = [frame.data[:2] for frame in answers if frame.id == 0x0A0] == [b"\x00\x82"]
+        assert is_refused is (version == 2)
+        assert (boards.valve_v == CENTRED) is (version == 2)
 
     def test_the_gateway_refuses_a_command_under_the_identifier_of_samples(self) -> None:
         gateway = make_stepped(LifeCycleState.RUNNING)

@@ -8,7 +8,7 @@ import pytest
 from support.board_bench import decoded, pdo
 
 from firmware_sim.faults.fault_text import parse_fault
-from firmware_sim.faults.frame_faults import FrameChanger, Selection, with_counter_step
+from firmware_sim.faults.frame_faults import Arrival, FrameChanger, Selection, changed_by, with_counter_step
 from firmware_sim.faults.kinds import FrameChange
 from hil.core.frames import Frame
 
@@ -45,6 +45,23 @@ FRAMES = [sample(counter) for counter in range(4)]
 def test_frames_arrive_in_this_order(text: str, counters: list[int]) -> None:
     frames = arriving(changer(text), FRAMES)
     assert [decoded(frame).counter for frame in frames] == counters
+
+
+def test_a_mislabelled_frame_is_a_copy_with_the_same_data_under_another_identifier() -> None:
+    changer_of_one = changer("mislabel:sample,command,1@0")
+    assert changer_of_one.change(FRAMES[0]) == (
+        Arrival(FRAMES[0]),
+        Arrival(Frame(0x220, FRAMES[0].data), is_additional=True),
+    )
+    assert changer_of_one.change(FRAMES[1]) == (Arrival(FRAMES[1]),)
+
+
+def test_faults_of_one_frame_follow_each_other() -> None:
+    (late,) = changed_by(changer("late:sample,0.02@0"), Arrival(FRAMES[0], 5))
+    assert late.delay_ns == 20_000_005
+    copy = Arrival(Frame(0x190, b""), is_additional=True)
+    assert changed_by(changer("lose:sample@0"), copy) == (copy,)
+    assert changed_by(changer("lose:command@0"), late) == (late,)
 
 
 def test_a_late_frame_has_a_delay() -> None:

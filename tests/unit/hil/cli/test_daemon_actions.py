@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from hil.cli.daemon_actions import daemon_actions, has_events
+from hil.cli.daemon_actions import daemon_actions, event_check
 from hil.core.output import LogEntry
 from hil.core.requests import Reply
 from hil.operation.protocol import EventCall, RecordNewCall, RecordStopCall, ShutdownCall
@@ -52,6 +52,9 @@ def test_an_event_goes_to_the_boards(session: Any) -> None:
         happen = daemon_actions(StopRequest(), ours)[EventCall]
         assert happen(session, EventCall(text="payload:3"), WHO).accepted
         assert theirs.recv(100) == b"payload:3"
+        reply = happen(session, EventCall(text="hang:adc@vertical>0.05"), WHO)
+        assert reply == Reply(True, "event hang:adc@vertical>0.05 is armed; its time counts from now")
+        assert theirs.recv(100) == b"hang:adc@vertical>0.05"
         theirs.close()
         assert "take no events" in happen(session, EventCall(text="payload:3"), WHO).text
     assert session.texts[0] == f"{WHO} asks: event payload:3"
@@ -59,7 +62,7 @@ def test_an_event_goes_to_the_boards(session: Any) -> None:
 
 def test_a_real_arm_has_no_events(session: Any) -> None:
     reply = daemon_actions(StopRequest(), None)[EventCall](session, EventCall(text="payload:3"), WHO)
-    assert reply == Reply(False, "only the simulated arm has events")
+    assert reply == Reply(False, "only simulated boards have events")
 
 
 def test_recordings_are_the_sessions(session: Any) -> None:
@@ -69,7 +72,9 @@ def test_recordings_are_the_sessions(session: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("linear", "plant", "has"), [(False, [], True), (True, [], False), (False, ["a"], False)]
+    ("linear", "plant", "check"),
+    [(False, [], "check_arm_event"), (True, [], "check_model_event"), (False, ["a"], "check_model_event")],
 )
-def test_linear_models_have_no_events(linear: bool, plant: list[str], has: bool) -> None:
-    assert has_events(argparse.Namespace(linear=linear, plant=plant)) is has
+def test_linear_models_have_faults_and_no_events(linear: bool, plant: list[str], check: str) -> None:
+    options = argparse.Namespace(linear=linear, plant=plant)
+    assert event_check(options) == f"firmware_sim.event_input:{check}"
