@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from hil.live.history import COLUMNS, Rows
-from hil.recording.tables import AxisTable, BoolArray
+from hil.recording.tables import AxisTable, BoolArray, FloatArray
 from hil.views.summary import axis_summary
 
-BEFORE_LAST_CHANGE_S = 30.0
-"""Time in s before the last change of a setpoint from which on rows are read.
-
-It is also the time over which tracking is read while a setpoint moves, or never changes.
-"""
+TRACKING_S = 30.0
+"""Time in s over which an axis is read that has made no step."""
+REST_ROWS = 9
+"""Number of periods, 0.1 s, for which a setpoint must be constant to be at rest."""
+MAX_MOVE_ROWS = 450
+"""Longest move of a setpoint that counts as a step: 5 s."""
 
 
 def readings(rows: Rows, axes: Sequence[tuple[str, str]], states: Sequence[str]) -> dict[str, Any]:
@@ -33,18 +34,43 @@ def readings(rows: Rows, axes: Sequence[tuple[str, str]], states: Sequence[str])
     running[0] = len(stops) == 0
     found: dict[str, Any] = {}
     for place, (name, unit) in enumerate(axes):
-        begin = _first_row(rows, place)
-        summary = axis_summary(_table(rows[begin:], place, running[begin:], name, unit))
+        read = _rows_to_read(rows, place)
+        summary = axis_summary(_table(read, place, running[-len(read) :], name, unit))
         if summary is not None:
             found[name] = {"kind": type(summary).__name__, **asdict(summary)}
     return found
 
 
-def _first_row(rows: Rows, place: int) -> int:
-    """Return the row from which on an axis is read."""
-    changes = np.flatnonzero(np.diff(rows[:, len(COLUMNS) + 3 * place]))
-    last_s = rows[changes[-1] if len(changes) else -1, 0]
-    return int(np.searchsorted(rows[:, 0], last_s - BEFORE_LAST_CHANGE_S))
+def _last_move(setpoint: FloatArray) -> tuple[int, int, int] | None:
+    """Return the first row at rest before the last move, the last one before it, and the first one after it.
+
+    A daemon approaches a setpoint with limited speed and acceleration; a run has steps. Both are moves from
+    rest to rest. None means that the setpoint never changed, still moves, or moved for longer than
+    ``MAX_MOVE_ROWS``.
+    """
+    changes = np.flatnonzero(np.diff(setpoint))
+    if len(changes) == 0:
+        return None
+    pauses = np.flatnonzero(np.diff(changes) > REST_ROWS)
+    rest = int(changes[pauses[-1]]) + 1 if len(pauses) else 0
+    begin, end = int(changes[pauses[-1] + 1 if len(pauses) else 0]), int(changes[-1]) + 1
+    is_at_rest_again = end + REST_ROWS < len(setpoint)
+    if begin - rest < REST_ROWS or not is_at_rest_again or end - begin > MAX_MOVE_ROWS:
+        return None
+    return rest, begin, end
+
+
+def _rows_to_read(rows: Rows, place: int) -> Rows:
+    """Return the rows from which an axis is read, with the last move of its setpoint as a step."""
+    column = len(COLUMNS) + 3 * place
+    move = _last_move(rows[:, column])
+    if move is None:
+        begin_s = rows[-1, 0] - TRACKING_S
+        return rows[np.searchsorted(rows[:, 0], begin_s) :]
+    rest, begin, end = move
+    read = rows[rest:].copy()
+    read[begin + 1 - rest : end - rest, column] = rows[end, column]
+    return read
 
 
 def _table(rows: Rows, place: int, running: BoolArray, name: str, unit: str) -> AxisTable:

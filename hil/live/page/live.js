@@ -280,7 +280,8 @@ function setReadings(readings) {
     const s = readings[name];
     body.append(row("td", s.kind === "StepResponse"
       ? [name, `${show(s.step_from, 3)} → ${show(s.step_to, 3)} ${s.unit}`, `${show(s.overshoot_percent, 1)} %`, s.settling_s === null ? "not yet" : `${show(s.settling_s, 2)} s`, `${show(s.steady_state_error, 5)} ${s.unit}`]
-      : [name, "no step from rest", `largest error ${show(s.max_error, 4)} ${s.unit}`, `RMS ${show(s.rms_error, 4)} ${s.unit}`, ""]));
+      : [name, `no step from rest; error at most ${show(s.max_error, 4)} ${s.unit}, RMS ${show(s.rms_error, 4)} ${s.unit}`]));
+    if (s.kind !== "StepResponse") Object.assign(body.lastChild.lastChild, { colSpan: 4, className: "text" });
   }
   table.append(head, body);
   place.replaceChildren(table);

@@ -5,11 +5,12 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from support.live_feeds import cycle, gateway, make_feed, write_periods
+from support.live_feeds import STATES, cycle, gateway, make_feed, write_periods
 
 from hil.core.output import LogEntry, Severity
 from hil.live.feed import STATUS_PERIODS, LiveFeed
 from hil.live.feed_file import FeedReader
+from hil.live.readings import readings
 from hil.live.run import MAX_LOG_ENTRIES, Run
 
 
@@ -78,3 +79,47 @@ def test_the_last_step_is_read(feed: LiveFeed, run: Run) -> None:
     assert reading["kind"] == "Tracking" and reading["max_error"] == pytest.approx(0.01)
     assert np.isfinite(reading["rms_error"])
     json.dumps(run.readings, allow_nan=False)
+
+
+def _rows_of(setpoint: np.ndarray, position: np.ndarray) -> np.ndarray:
+    time_s = np.arange(len(setpoint)) * 0.0112
+    running, fresh, none = np.full(len(setpoint), 3.0), np.ones(len(setpoint)), np.zeros(len(setpoint))
+    return np.column_stack([time_s, none, none, running, fresh, setpoint, position, none])
+
+
+def test_a_limited_move_of_a_daemon_is_read_as_a_step() -> None:
+    ramp = np.concatenate([np.zeros(100), np.linspace(0.0, 0.1, 20), np.full(400, 0.1)])
+    kernel = np.exp(-np.arange(200) / 20)
+    lag = np.convolve(ramp, kernel / kernel.sum())[: len(ramp)]
+    reading = readings(_rows_of(ramp, lag), [("vertical", "m")], STATES)["vertical"]
+    assert reading["kind"] == "StepResponse"
+    assert (reading["step_from"], reading["step_to"]) == (0.0, 0.1)
+    assert reading["overshoot_percent"] == pytest.approx(0.0, abs=1e-9)
+    settled = np.flatnonzero(np.abs(lag - 0.1) > 0.002)[-1] + 1
+    assert reading["settling_s"] == pytest.approx((settled - 101) * 0.0112, abs=0.012)
+
+
+def test_a_setpoint_that_still_moves_is_no_step() -> None:
+    ramp = np.concatenate([np.zeros(100), np.linspace(0.0, 0.1, 20)])
+    assert readings(_rows_of(ramp, ramp), [("vertical", "m")], STATES)["vertical"]["kind"] == "Tracking"
+
+
+def test_a_slow_ramp_is_no_step() -> None:
+    ramp = np.concatenate([np.zeros(100), np.linspace(0.0, 0.1, 1000), np.full(50, 0.1)])
+    assert readings(_rows_of(ramp, ramp), [("vertical", "m")], STATES)["vertical"]["kind"] == "Tracking"
+
+
+def test_a_setpoint_that_never_stops_is_read_over_the_last_half_minute() -> None:
+    time_s = np.arange(10_000) * 0.0112
+    setpoint = np.sin(time_s)
+    position = np.where(time_s < 50.0, 0.0, setpoint - 0.01)
+    reading = readings(_rows_of(setpoint, position), [("vertical", "m")], STATES)["vertical"]
+    assert reading["kind"] == "Tracking" and reading["max_error"] == pytest.approx(0.01)
+
+
+def test_a_second_move_is_read_by_itself() -> None:
+    ramp = np.concatenate([np.zeros(100), np.linspace(0.0, 0.1, 20), np.full(400, 0.1)])
+    both = np.concatenate([ramp, 0.1 - 0.5 * ramp])
+    reading = readings(_rows_of(both, both), [("vertical", "m")], STATES)["vertical"]
+    assert reading["kind"] == "StepResponse"
+    assert (reading["step_from"], reading["step_to"]) == (0.1, pytest.approx(0.05))
