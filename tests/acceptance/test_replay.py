@@ -247,7 +247,7 @@ def test_a_recording_without_a_period_is_refused(
     assert main(["replay", "--verify", str(changed)]) == 2
     error = capsys.readouterr().err
     assert "changed.mcap: has no period, so there is nothing to replay; its messages are " in error
-    assert "1 on /gateway/log" in error
+    assert "2 on /gateway/log" in error
 
 
 @pytest.mark.parametrize(("place", "value"), [(12, 99), (20, 0xFF)])
@@ -356,7 +356,7 @@ def kinds_of_records(content: bytes | bytearray) -> list[str]:
     [
         ("ATTACHMENT", "the attachment rig.toml is damaged"),
         ("CHUNK", "the chunk at byte"),
-        ("METADATA", "damaged: the metadata at byte"),
+        ("METADATA", "damaged: the CRC of bytes 0 to"),
         ("MESSAGE_INDEX", "damaged: the CRC of bytes 0 to"),
         ("STATISTICS", "damaged: the CRC of bytes"),
         ("FOOTER", "damaged: the CRC of bytes"),
