@@ -88,7 +88,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 pipe,
                 _described(setup, bus, epoch_offset_ns),
                 daemon_actions(stop, events, unseen_events(setup.rig)),
-                lambda: None if recordings is None or recordings.path is None else str(recordings.path),
+                lambda: _written_file(recordings) or None,
                 time.monotonic_ns,
                 missing_rights(setup.rig, bus, rights),
             )
@@ -154,7 +154,7 @@ def _feed(
     socket_path = options.socket or default_path()
 
     def recording() -> str:
-        return "" if recordings is None or recordings.path is None else str(recordings.path)
+        return _written_file(recordings)
 
     try:
         feed = make_feed(setup, bus, epoch_offset_ns, options, recording, link_beside(socket_path))
@@ -164,6 +164,11 @@ def _feed(
         return None, f"{error}: `hil live` cannot show this daemon"
     operator_socket = socket_path if options.operate else None
     return stack.enter_context(live_views(feed, options, operator_socket)), ""
+
+
+def _written_file(recordings: Recordings | None) -> str:
+    """Return the path of the recording that is being written; empty while nothing is recorded."""
+    return "" if recordings is None or recordings.written_path is None else str(recordings.written_path)
 
 
 def _recorder(

@@ -221,6 +221,11 @@ class Recorder:
         return self._pipe.log.pop(0) if self._pipe.log else None
 
     @property
+    def has_failed(self) -> bool:
+        """True if the present file cannot be written any more, such as on a full disk."""
+        return self._pipe.failure is not None
+
+    @property
     def path(self) -> Path | None:
         """The present file; None while nothing is recorded."""
         return None if self._is_stopped else self._path

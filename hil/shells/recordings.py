@@ -62,8 +62,13 @@ class Recordings:
 
     @property
     def path(self) -> Path | None:
-        """The present file; None while nothing is recorded."""
+        """The present file, also if it cannot be written any more; None after the recording was stopped."""
         return self._recorder.path
+
+    @property
+    def written_path(self) -> Path | None:
+        """The file that is being written; None while nothing is recorded, for whatever reason."""
+        return None if self._recorder.has_failed else self._recorder.path
 
     def controller_changed(self, request: ControllerRequest) -> None:
         """Keep the text of a controller that the core has taken, for the files that follow."""

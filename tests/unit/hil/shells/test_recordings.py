@@ -226,3 +226,17 @@ def test_a_session_without_a_recorder_controls_all_the_same(tmp_path: Path) -> N
         assert run.ask(request, WHO).accepted
         run.periods(periods)
     assert run.gateway.state is LifeCycleState.ARMED
+
+
+def test_a_file_that_cannot_be_written_any_more_is_not_shown_as_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = OperatedRun(tmp_path / "run.mcap")
+    recordings = run.session._recordings
+    assert recordings is not None
+    assert recordings.written_path == tmp_path / "run.mcap"
+    with monkeypatch.context() as context:
+        context.setattr(run.recorder._pipe, "failure", "no space left on device", raising=False)
+        assert recordings.written_path is None
+        assert recordings.path == tmp_path / "run.mcap", "the next file is named after it"
+    run.close()
