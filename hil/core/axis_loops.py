@@ -165,7 +165,10 @@ class AxisLoops:
 
     def restart(self) -> None:
         """Begin at t = 0 with the next controlled period. Every control law then starts without a bump."""
-        self._start_ns = self._last_command_ns = None
+        self._start_ns = None
+        if self._valves.are_centred:
+            self._last_command_ns = None
+        # Otherwise the bus has refused the command that centres the valves, and the last one still counts.
 
     def start_refusals(self) -> list[LoopFailure]:
         """Return why control must not begin, axis by axis: positions and first setpoints that do not fit."""

@@ -6,8 +6,18 @@ import json
 from itertools import pairwise
 
 import pytest
-from support.constants import CENTRED, PERIOD_S
-from support.gateway_bench import SYNC, RigBench, SteppedGateway, commands, make_rig, make_stepped, texts
+from support.constants import CENTRED, COUNT_V, PERIOD_S
+from support.gateway_bench import (
+    ADC_UP,
+    DAC_UP,
+    SYNC,
+    RigBench,
+    SteppedGateway,
+    commands,
+    make_rig,
+    make_stepped,
+    texts,
+)
 
 from hil.core.control_law import ControlLaw
 from hil.core.controller_change import PreparedController, prepare_controller
@@ -106,6 +116,23 @@ def test_a_stop_that_the_bus_refused_is_repeated_before_sync() -> None:
         gateway.sample()
     assert gateway.deadline().frames[1] == SYNC
     assert gateway.deadline().frames[0] == SYNC
+
+
+@pytest.mark.parametrize("again", [Trigger.START, JogRequest("vertical", 1.0, 0.1)])
+def test_after_a_stop_that_the_bus_refused_the_rate_counts_from_the_last_command(again: Request) -> None:
+    rate_v_s = 10.0
+    gateway = make_stepped(LifeCycleState.RUNNING, axes__vertical__valve__max_rate_v_s=str(rate_v_s))
+    gateway.periods(3)
+    gateway.deadline()
+    gateway.receive(ADC_UP, DAC_UP)
+    gateway.sample(after_ns=9_000_000)
+    before, before_ns = gateway.transcript.commands()[-1][0], gateway.now_ns
+    gateway.core.command_refused(gateway.operate(Trigger.STOP).frames[-1])
+    assert ask(gateway, again).accepted
+    gateway.period()
+    step_v = gateway.transcript.commands()[-1][0] - before
+    assert gateway.now_ns - before_ns < 4_000_000
+    assert 0.0 < step_v <= rate_v_s * (gateway.now_ns - before_ns) / 1e9 + COUNT_V
 
 
 class TestUnknownAxes:
