@@ -200,7 +200,7 @@ def shipped_controllers() -> list[str]:
 
 def controller_path(name: str) -> Path:
     """Return the file of a shipped controller by its name, or the file ``name``. Raises DocumentError."""
-    return _controller_path(name, Path(), "controller")
+    return _controller_path(name, Path(), "")
 
 
 def _controller_path(name: str, base: Path, origin: str) -> Path:
@@ -214,8 +214,8 @@ def _controller_path(name: str, base: Path, origin: str) -> Path:
     path = base / name
     if not path.exists():
         raise DocumentError(
-            f"{origin}: controller {name!r}: there is no file {path}, and it is none of the shipped "
-            f"{', '.join(shipped)}{did_you_mean(name, shipped)}"
+            f"{origin}{': ' if origin else ''}controller {name!r}: there is no file {path}, and no shipped "
+            f"controller has this name ({', '.join(shipped)}){did_you_mean(name, shipped)}"
         )
     return path
 
