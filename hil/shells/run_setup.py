@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.core.calibration_rig import calibration_text
 from hil.core.closed_loop_poles import check_closed_loop
 from hil.core.control_law import ControlLaw, LawNumbers, check_law_runs, law_numbers
 from hil.core.controller_change import delay_periods
@@ -191,6 +192,16 @@ def setup_from_texts(
             raise SetpointError(f"{origin}: {error}") from None
     experiment = read_experiment(texts[EXPERIMENT_NAME], rig) if EXPERIMENT_NAME in texts else None
     return RunSetup(rig, files, parsed, dict(texts), experiment)
+
+
+def calibration_setup(setup: RunSetup, axis: str, source: str) -> RunSetup:
+    """Return ``setup`` with the limits of ``axis`` widened for its calibration.
+
+    ``source`` names the rig file in errors. Raises DocumentError.
+    """
+    text = calibration_text(setup.texts[RIG_NAME], axis, source)
+    setpoints = {name: setpoint.text for name, setpoint in setup.setpoints.items()}
+    return setup_from_texts({**setup.texts, RIG_NAME: text}, setpoints, {RIG_NAME: source})
 
 
 def shipped_controllers() -> list[str]:
