@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import socket
 
-from firmware_sim.arm.event_text import FORMS, parse_event
-from firmware_sim.faults.fault_text import has_fault, parse_fault
+from firmware_sim.arm.event_text import FORM_OF, parse_event
+from firmware_sim.faults.fault_text import FAULT_NAMES, parse_fault
 from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
 from firmware_sim.faulty_rig import FaultyRig, check_faults, no_process
 from hil.core.errors import DocumentError, HilError
 from hil.core.rig import Rig
+from hil.core.suggestions import nearest
 
 MAX_TEXT_BYTES = 4096
 """Largest text of an event."""
@@ -26,7 +27,7 @@ def parse_present_event(text: str) -> AnyFault:
     head, slash, duration = text.partition("/")
     if "@" in text:
         fault = parse_fault(text, source)
-    elif has_fault(re.split("[:/]", text)[0]):
+    elif re.split("[:/]", text)[0] in FAULT_NAMES:
         fault = parse_fault(f"{head}@0{slash}{duration}", source)
     else:
         fault = _arm_event(text)
@@ -57,15 +58,22 @@ def check_model_event(text: str, rig: Rig) -> None:
 
 
 def _arm_event(text: str) -> ArmFault:
-    try:
-        return ArmFault(parse_event(f"{text}@0"))
-    except DocumentError as error:
-        if FORMS in str(error):
-            forms = FORMS.replace("@S", "")
-            raise DocumentError(
-                f"event {text!r}: not an event; the forms are: {forms}; and those of hil run --fault"
-            ) from None
-        raise
+    name = text.partition(":")[0]
+    if name not in FORM_OF or ":" not in text:
+        raise DocumentError(f"event {text!r}: {_unknown(name)}")
+    return ArmFault(parse_event(f"{text}@0", source=f"event {text!r}"))
+
+
+def _unknown(name: str) -> str:
+    """Return what is wrong with a text that has no form: its values are missing, or its name is unknown."""
+    if name in FORM_OF:
+        return f"its values are missing; write {FORM_OF[name]}"
+    meant = nearest(name, [*FORM_OF, *FAULT_NAMES])
+    if meant in FORM_OF:
+        return f"not an event; did you mean {meant}? Write {FORM_OF[meant]}"
+    hint = f"; did you mean {meant}? The" if meant else "; the"
+    forms = ", ".join(FORM_OF.values())
+    return f"not an event{hint} forms are: {forms}; and those of `hil run --fault`"
 
 
 class EventInput:

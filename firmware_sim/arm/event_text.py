@@ -17,13 +17,24 @@ from hil.core.documents import from_plain
 from hil.core.errors import DocumentError
 from hil.core.suggestions import did_you_mean
 
+FORM_OF: Final = {
+    "payload": "payload:KG",
+    "supply-pressure": "supply-pressure:GAUGE_KPA",
+    "temperature": "temperature:CELSIUS",
+    "friction": "friction:AXIS,FACTOR",
+    "leak": "leak:AXIS,CHAMBER,M3_S_PA",
+    "stuck-spool": "stuck-spool:AXIS",
+    "broken-wire": "broken-wire:AXIS",
+    "emergency-stop": "emergency-stop:pressed",
+    "enable-switch": "enable-switch:released",
+}
+"""Form of each event without its time."""
 FORMS: Final = (
-    "payload:KG@S, supply-pressure:GAUGE_KPA@S, temperature:CELSIUS@S, friction:AXIS,FACTOR@S, "
-    "leak:AXIS,CHAMBER,M3_S_PA@S, stuck-spool:AXIS@S, broken-wire:AXIS@S, emergency-stop:pressed@S, "
-    "enable-switch:released@S (emergency-stop:released@S and enable-switch:held@S close the contacts, "
-    "stuck-spool:AXIS,false@S frees the spool, broken-wire:AXIS,false@S repairs the wire)"
+    ", ".join(f"{form}@S" for form in FORM_OF.values())
+    + " (emergency-stop:released@S and enable-switch:held@S close the contacts, stuck-spool:AXIS,false@S "
+    "frees the spool, broken-wire:AXIS,false@S repairs the wire)"
 )
-"""Forms of all events, for help texts and errors."""
+"""Forms of all events with their times, for help texts and errors."""
 
 _NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FORM: Final = re.compile(rf"(?P<name>[a-z-]+):(?P<values>[^@]+)@(?P<time>{_NUMBER})")
@@ -32,9 +43,12 @@ _KINDS: Final[dict[str, type[Event]]] = {
 }
 
 
-def parse_event(text: str) -> AnyEvent:
-    """Return the event that a text describes. Raises DocumentError with the text, the value and its limit."""
-    source = f"--event {text!r}"
+def parse_event(text: str, source: str = "") -> AnyEvent:
+    """Return the event that a text describes. Raises DocumentError with the text, the value and its limit.
+
+    ``source`` is where the text comes from, for errors; by default the option ``--event``.
+    """
+    source = source or f"--event {text!r}"
     match = _FORM.fullmatch(text)
     if match is None or match["name"] not in _KINDS:
         name = text.partition(":")[0]

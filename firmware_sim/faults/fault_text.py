@@ -48,9 +48,8 @@ _KINDS: Final[dict[str, type[Fault]]] = {
 _EVENTS: Final = frozenset(str(kind.__struct_config__.tag).replace(" ", "-") for kind in get_args(AnyEvent))
 
 
-def has_fault(name: str) -> bool:
-    """Return whether a fault of this name exists. Events of the arm are not counted."""
-    return name in _KINDS
+FAULT_NAMES: Final = frozenset(_KINDS)
+"""Names of the faults, without the events of the arm."""
 
 
 def parse_fault(text: str, source: str | None = None) -> AnyFault:
@@ -71,7 +70,7 @@ def parse_fault(text: str, source: str | None = None) -> AnyFault:
         return _convert({**plain, "fault": "arm", "event": msgspec.to_builtins(event)}, ArmFault, source)
     if name not in _KINDS:
         hint = did_you_mean(name, [*_KINDS, *_EVENTS])
-        raise DocumentError(f"{source}: there is no fault {name!r}{hint}. {FORMS}")
+        raise DocumentError(f"{source}: there is no fault {name!r}{hint or '.'} {FORMS}")
     kind = _KINDS[name]
     fields = [field for field in msgspec.structs.fields(kind) if field.name not in _BASE_FIELDS]
     values = match["values"].split(",") if match["values"] else []

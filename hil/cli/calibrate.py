@@ -13,6 +13,7 @@ from datetime import date
 from pathlib import Path
 from select import select
 
+from hil.cli.calibrate_jogged import JOG_V, JoggedEnds, armed, check_daemon, keys_of_terminal
 from hil.cli.monitor import BIT_RATE, Monitor, bus_to_hear
 from hil.cli.operate import add_socket_option
 from hil.core.calibration import (
@@ -28,7 +29,7 @@ from hil.core.errors import DocumentError
 from hil.core.rig import AxisSettings, Rig, read_rig
 from hil.core.rig_edit import with_values
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser
+from hil.host.command_parser import CommandParser, number
 from hil.host.text_file import read_text
 from hil.links import open_link
 from hil.operation.client import Client, connect
@@ -54,6 +55,10 @@ Potentiometer (--low and --high): the valves stay centred and nothing is moved b
 supply pressure off, move the axis by hand to each end and to a place between them, and press Enter. --low and
 --high are the positions of the ends, measured with a ruler or a protractor.
 
+If no hand can move the axis, jogs can (--jog): needs a running `hil daemon --calibrate AXIS`, whose limits
+are wide for this axis and whose jogs have a low voltage. The axis moves while a key is held, and stops within
+0.3 s after it is released.
+
 Valve (--valve): needs a running `hil daemon` in state ready or armed. The axis is moved to and fro by jogs of
 0.3 s with growing voltage, until it moves both ways. Found are the voltage at which it stands still, and the
 dead band. Ctrl-C stops the axis within 0.3 s.
@@ -70,8 +75,16 @@ def parser() -> CommandParser:
         "--low", type=float, metavar="Y", help="position of the lower end, in the axis' unit"
     )
     command.add_argument("--high", type=float, metavar="Y", help="position of the upper end")
+    command.add_argument(
+        "--jog",
+        type=number,
+        nargs="?",
+        const=JOG_V,
+        metavar="V",
+        help=f"move the axis to its ends by keys, with V volts from the valve's centre (default {JOG_V:g})",
+    )
     command.add_argument("--valve", action="store_true", help="find the valve's centre and dead band")
-    command.add_argument("--yes", action="store_true", help="with --valve: do not ask before the axis moves")
+    command.add_argument("--yes", action="store_true", help="with --valve or --jog: do not ask first")
     command.add_argument("--bus", metavar="BUS", help="bus to listen to (default: the rig file's)")
     where = command.add_mutually_exclusive_group()
     where.add_argument("-o", "--output", type=Path, metavar="FILE", help="write a new rig file")
@@ -88,6 +101,8 @@ def main(argv: list[str]) -> int:
     try:
         if options.valve:
             part, values, origin = _valve(options, rig)
+        elif options.jog is not None:
+            part, values, origin = _jogged_potentiometer(options, rig)
         else:
             part, values, origin = _potentiometer(options, rig)
     except CalibrationError as error:
@@ -129,6 +144,11 @@ def _check(options: argparse.Namespace, rig: Rig) -> None:
         )
     if options.low is not None and not (math.isfinite(options.low) and math.isfinite(options.high)):
         raise DocumentError(f"--low {options.low}, --high {options.high}: positions must be finite numbers")
+    if options.jog is not None and (options.valve or not options.jog > 0.0):
+        raise DocumentError(
+            f"--jog {options.jog:g}: belongs to --low and --high, and must be over 0 V; the keys choose the "
+            "direction"
+        )
     if options.low is not None:
         _check_ends(options, rig.axes[options.axis])
     if (options.force or options.output) and options.rig is None:
@@ -201,16 +221,37 @@ class Ends:
 
 def _potentiometer(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float], str]:
     samples: list[tuple[float, ...]] = []
-    unit = rig.axes[options.axis].unit
-    channel = rig.axes[options.axis].potentiometer.channel
     with open_link(bus_to_hear(options, rig)) as link:
         clock_ns = time.monotonic_ns
         monitor = Monitor(link, rig, BIT_RATE, sends_sync=True, clock_ns=clock_ns, on_sample=samples.append)
         ends = Ends(monitor, rig, options.axis, samples, enter_pressed, clock_ns)
-        low = End(options.low, ends.measure(f"its lower end, {options.low:g} {unit}"))
-        high = End(options.high, ends.measure(f"its upper end, {options.high:g} {unit}"))
-        values = potentiometer_values(rig, options.axis, low, high)
-        check_middle(options.axis, channel, low, high, ends.measure("a place between its ends"))
+        return _measured_ends(options, rig, ends.measure, ends.measure)
+
+
+def _jogged_potentiometer(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float], str]:
+    with connect(options.socket) as client:
+        check_daemon(client.status(), options.axis)
+        _confirm(options, f"to its ends, by keys that you hold, with {options.jog:g} V")
+        with keys_of_terminal() as pressed, armed(client):
+            ends = JoggedEnds(client, rig, options.axis, options.jog, pressed)
+            part, values, origin = _measured_ends(options, rig, ends.end, ends.between)
+    recording = f", recording {Path(ends.recording).name}" if ends.recording else ""
+    return part, values, f"{origin}; moved by jogs{recording}"
+
+
+def _measured_ends(
+    options: argparse.Namespace,
+    rig: Rig,
+    measure: Callable[[str], RestingVolts],
+    between: Callable[[str], RestingVolts],
+) -> tuple[str, dict[str, float], str]:
+    """Measure both ends and a place between them. Return the table, its values and their origin."""
+    unit = rig.axes[options.axis].unit
+    channel = rig.axes[options.axis].potentiometer.channel
+    low = End(options.low, measure(f"its lower end, {options.low:g} {unit}"))
+    high = End(options.high, measure(f"its upper end, {options.high:g} {unit}"))
+    values = potentiometer_values(rig, options.axis, low, high)
+    check_middle(options.axis, channel, low, high, between("a place between its ends"))
     low_v, high_v = (end.volts.mean_v[channel - 1] for end in (low, high))
     origin = (
         f"{date.today():%Y-%m-%d} by hil calibrate: {low_v:.3f} V at {low.y:g} {unit}, {high_v:.3f} V at "
@@ -284,28 +325,22 @@ def _valve(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float]
             raise CalibrationError(
                 f"{options.axis}: the daemon is in state {state}; bring it to ready or armed (hil status)"
             )
-        _confirm(options, settings)
-        if state == "ready":
-            client.arm()
-        try:
-            axis = JoggedAxis(client, options.axis)
+        _confirm(options, f"to and fro, with up to {settings.operator_limits.jog_max_v:g} V")
+        axis = JoggedAxis(client, options.axis)
+        with armed(client):
             found = valve_values(rig, options.axis, axis.speed, STEP_V)
-        finally:
-            if state == "ready":
-                client.disarm()
     origin = f"{date.today():%Y-%m-%d} by hil calibrate: dead band {found.dead_band_v:.3f} V"
     if axis.recording:
         origin += f", recording {Path(axis.recording).name}"
     return "valve", {"centre_v": round(found.centre_v, 3)}, origin
 
 
-def _confirm(options: argparse.Namespace, settings: AxisSettings) -> None:
+def _confirm(options: argparse.Namespace, motion: str) -> None:
     """Ask before the axis moves. Raises CalibrationError without a yes."""
     if options.yes:
         return
     sys.stderr.write(
-        f"{options.axis} will move to and fro, with up to {settings.operator_limits.jog_max_v:g} V from the "
-        "valve's centre. Is its range free of people? Type yes: "
+        f"{options.axis} will move {motion} from the valve's centre. Is its range free of people? Type yes: "
     )
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() != "yes":

@@ -16,7 +16,7 @@ from hil.core.errors import DocumentError
 from hil.core.setpoints import HOLD
 from hil.host.command_parser import CommandParser, number
 from hil.live.address import add_page_options
-from hil.shells.run_setup import load_rig
+from hil.shells.run_setup import RIG_NAME, calibration_setup, load_rig
 
 DESCRIPTION = """\
 Run the gateway until it is stopped. The daemon brings the boards up and waits in state ready; it never arms
@@ -52,6 +52,12 @@ def parser() -> CommandParser:
         default=[],
         metavar="AXIS=SETPOINT",
         help="setpoint with which an axis starts (default: hold); may be repeated",
+    )
+    command.add_argument(
+        "--calibrate",
+        metavar="AXIS",
+        help="widen the limits of this axis for `hil calibrate --jog`: it can be jogged to its ends with a "
+        "low voltage, and controllers do not start",
     )
     add_socket_option(command)
     command.add_argument(
@@ -126,6 +132,8 @@ def main(argv: list[str]) -> int:
     scenario, scenario_text = given_scenario(options)
     options.setpoint = _held(options, set(scenario.setpoints) if scenario else set())
     setup = read_setup(options, scenario, scenario_text)
+    if options.calibrate is not None:
+        setup = calibration_setup(setup, options.calibrate, str(options.rig or RIG_NAME))
     bus = chosen_bus(options, setup)
     if bus == SIMULATED:
         refuse_host_faults(options)

@@ -24,6 +24,7 @@ from hil.cli.run_parts import (
     run_header,
     stop_on_signals,
 )
+from hil.core.calibration_rig import calibration_warnings
 from hil.core.errors import EnvironmentLackError, LinkError
 from hil.core.output import LogEntry, Severity
 from hil.host.realtime_rights import real_time_rights
@@ -115,7 +116,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             if feed_warning:
                 session.note(LogEntry(Severity.WARNING, "live", feed_warning))
-            for warning in protection_warnings(setup, bus):
+            for warning in (*protection_warnings(setup, bus), *calibration_warnings(setup.rig)):
                 session.note(warning)
             error = run(session, link, stop, port.serve, polling_of(rights, setup))
         notifier.send("STOPPING=1")
@@ -184,7 +185,8 @@ def _recorder(
 
 def _described(setup: RunSetup, bus: str, epoch_offset_ns: int) -> Described:
     axes = tuple((name, axis.unit) for name, axis in setup.rig.axes.items())
-    return Described(bus, bus == SIMULATED, axes, setup.rig.loop.period_s, epoch_offset_ns)
+    rig = setup.rig
+    return Described(bus, bus == SIMULATED, axes, rig.loop.period_s, epoch_offset_ns, rig.calibration)
 
 
 def _ending(session: Session, link: Link) -> dict[str, str]:

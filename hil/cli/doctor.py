@@ -14,8 +14,8 @@ from hil.host.command_parser import CommandParser
 from hil.host.doctor import Check, CheckVerdict, doctor
 from hil.shells.preflight import preflight
 
-COMMANDS = ("sudo ", "echo ", "ls ")
-"""Beginnings of commands in an advice."""
+COMMANDS = (" sudo ", " echo ", " ls ")
+"""Words that only a command in an advice contains."""
 _STYLES = {
     CheckVerdict.GOOD: "green",
     CheckVerdict.FAIR: "yellow",
@@ -84,7 +84,7 @@ def advice_lines(advice: str, width: int) -> list[str]:
     """Return the lines of an advice. Prose is filled to ``width``; a command to copy stays on its line."""
     lines = []
     for line in advice.splitlines():
-        if any(command in line for command in COMMANDS):
+        if any(command in f" {line}" for command in COMMANDS):
             lines.append(f"  {line}")
         else:
             lines += textwrap.wrap(

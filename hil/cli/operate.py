@@ -93,12 +93,33 @@ def _simple(name: str, description: str, ask: Callable[[Client], str]) -> Operat
     return OperatorCommand(name, description, _no_arguments, lambda client, _: ask(client))
 
 
+class _NoSuchOption(argparse.Action):
+    """An option of `hil run` that a command for a daemon takes without its name."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option_string: str | None = None,
+    ) -> None:
+        """End with a message that says how to write it."""
+        parser.error(f"{option_string} is an option of `hil run`; write {parser.prog} {values or self.const}")
+
+
+def _refuse_option(parser: CommandParser, option: str, example: str) -> None:
+    parser.add_argument(
+        option, nargs="?", const=example, action=_NoSuchOption, help=argparse.SUPPRESS, metavar=""
+    )
+
+
 def _pair(option: str, text: str, example: str) -> tuple[str, str]:
     ((axis, value),) = by_axis(option, [text], example).items()
     return axis, value
 
 
 def _add_setpoint_arguments(parser: CommandParser) -> None:
+    _refuse_option(parser, "--setpoint", "vertical=0.05")
     parser.add_argument(
         "setpoints", nargs="+", metavar="AXIS=SETPOINT", help="a position, or a setpoint as in a rig file"
     )
@@ -116,6 +137,7 @@ def _set_setpoints(client: Client, options: argparse.Namespace) -> str:
 
 
 def _add_controller_arguments(parser: CommandParser) -> None:
+    _refuse_option(parser, "--controller", "vertical=hls")
     parser.add_argument(
         "controllers", nargs="+", metavar="AXIS=FILE", help="a controller file, or the name of a shipped one"
     )
@@ -222,6 +244,7 @@ def jog_duration(text: str) -> float:
 
 
 def _add_event_arguments(parser: CommandParser) -> None:
+    _refuse_option(parser, "--event", "payload:3")
     parser.add_argument("event", metavar="EVENT", help="such as payload:3 or stuck-spool:vertical")
 
 
@@ -233,7 +256,10 @@ def _add_arm_arguments(parser: CommandParser) -> None:
 
 def _add_record_arguments(parser: CommandParser) -> None:
     parser.add_argument(
-        "what", choices=("new", "stop"), help="new: close the recording and begin another; stop: close it"
+        "what",
+        choices=("new", "stop"),
+        metavar="new|stop",
+        help="new: close the recording and begin another; stop: close it",
     )
 
 

@@ -37,8 +37,8 @@ def parser() -> CommandParser:
         metavar="FOLDER",
         nargs="?",
         const=".",
-        help=f"write {' and '.join(EDS_NAMES)}, which describe the boards to CANopen tools, to FOLDER "
-        "(default: the working directory); existing files are kept",
+        help=f"write {' and '.join(EDS_NAMES)}, which describe the boards to CANopen tools, to FOLDER, "
+        "which is created if needed (default: the working directory); existing files are kept",
     )
     return command
 
@@ -51,9 +51,11 @@ def main(argv: list[str]) -> int:
         sys.stdout.write(f"{options.check}: valid; axes {', '.join(setup.rig.axes)}\n")
         return 0
     if options.eds is not None:
-        paths = [Path(options.eds) / name for name in EDS_NAMES]
+        folder = Path(options.eds)
+        _create(folder)
+        paths = [folder / name for name in EDS_NAMES]
         for path in paths:
-            _write_new(path, read_text(SHIPPED / path.name))
+            _write_new(path, read_text(SHIPPED / path.name), "name another folder")
         sys.stdout.write(f"{' and '.join(map(str, paths))} written; open them with a CANopen tool\n")
         return 0
     text = read_text(SHIPPED / RIG_NAME)
@@ -65,11 +67,20 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _write_new(path: Path, text: str) -> None:
+def _create(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise DocumentError(f"--eds {folder}: is a file, not a folder; name a folder") from None
+    except OSError as error:
+        raise DocumentError(f"--eds {folder}: cannot be created: {error.strerror}") from None
+
+
+def _write_new(path: Path, text: str, remedy: str = "name another file") -> None:
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise DocumentError(f"{path}: exists already and is kept; name another file") from None
+        raise DocumentError(f"{path}: exists already and is kept; {remedy}") from None
     except OSError as error:
         raise DocumentError(f"{path}: cannot be written: {error.strerror}") from None

@@ -106,9 +106,9 @@ def _last_warning(recording: Recording) -> str:
 
 def _failure_text(ending: Ending | None, recorded_ending: dict[str, str], refusal: str) -> str:
     if ending is Ending.START_REFUSED:
-        return f"The run did not begin. {refusal}"
+        return f"The run did not begin. {_sentence(refusal)}"
     if ending is Ending.RELEASED:
-        return f"The run was stopped. {refusal}"
+        return f"The run was stopped. {_sentence(refusal)}"
     if ending is not Ending.NO_BOARDS:
         return f"The run ended by {ending}: {recorded_ending.get('fault', '')}"
     readiness = recorded_ending.get("readiness", "")
@@ -118,4 +118,9 @@ def _failure_text(ending: Ending | None, recorded_ending: dict[str, str], refusa
         return f"The boards did not come up: {readiness}. {SILENCE_HINT}"
     if readiness.endswith("dac operational"):
         return f"The boards did not come up: {readiness}; no sample came."
-    return f"The boards did not come up: {readiness}."
+    return _sentence(f"The boards did not come up: {readiness}")
+
+
+def _sentence(text: str) -> str:
+    """Return the text with a full stop, unless it has an end already."""
+    return text if text.endswith((".", "?")) else f"{text}."

@@ -126,6 +126,9 @@ def status_lines(status: Status) -> list[str]:
             f"{axis.unit:3}  valve {command:>7}"
         )
     lines.append(f"{'record':8}  {status.recording or 'nothing is recorded'}")
+    if status.calibrated_axis is not None:
+        text = f"limits of {status.calibrated_axis} are wide; it can be jogged, and nothing starts"
+        lines.append(f"{'mode':8}  calibration: {text}")
     if status.overridden_checks:
         lines.append(
             f"{'override':8}  armed although these checks fail: {', '.join(status.overridden_checks)}"

@@ -34,23 +34,27 @@ def check_closed_loop(controller: ControllerFile, source: str, delay_periods: in
     sampled = _sampled_plant(plant, controller.sample_time_s, delay_periods)
     if sampled is None:
         return False
-    modulus = largest_pole(controller, *sampled)
-    if modulus < 1.0:
+    pole = largest_pole(controller, *sampled)
+    if abs(pole) < 1.0:
         return True
+    at = f"{pole.real:.4g}" if pole.imag == 0.0 else f"{pole.real:.4g} ± {abs(pole.imag):.4g}j"
     raise DocumentError(
-        f"{source}: the closed loop with the plant of the file (origin.plant) is unstable: its largest pole "
-        f"has the modulus {modulus:.6g}, but must be below 1; with {controller.sample_time_s:g} s a period "
-        f"and {delay_periods} periods of transport delay (rig: dac.apply); design it for this plant"
+        f"{source}: the closed loop with the plant of the file (origin.plant) is unstable: its pole z = {at} "
+        f"has the modulus {abs(pole):.6g}, but must be below 1; with a sample time of "
+        f"{controller.sample_time_s:g} s and a transport delay of {delay_periods} "
+        f"period{'' if delay_periods == 1 else 's'} (rig: dac.apply); `hil design` makes a controller for "
+        "this plant"
     )
 
 
-def largest_pole(controller: ControllerFile, A: Matrix, B: Matrix, C: Matrix) -> float:
-    """Return the largest modulus of a closed-loop pole. The plant is x+ = A x + B u, y = C x, sampled."""
+def largest_pole(controller: ControllerFile, A: Matrix, B: Matrix, C: Matrix) -> complex:
+    """Return the closed-loop pole with the largest modulus. The plant is x+ = A x + B u, y = C x, sampled."""
     K = realise(controller.law, controller.sample_time_s)
     # The setpoint is 0, so that the law is xk+ = Ak xk + bk y, u = Ck xk + dk y.
     bk, dk = K.B[:, [1]], K.D[:, [1]]
     loop = np.block([[A + B @ dk @ C, B @ K.C], [bk @ C, K.A]])
-    return float(np.max(np.abs(np.linalg.eigvals(loop)), initial=0.0))
+    poles = np.linalg.eigvals(loop)
+    return complex(poles[np.argmax(np.abs(poles))]) if len(poles) else 0j
 
 
 def _sampled_plant(plant: Any, period_s: float, delay_periods: int) -> tuple[Matrix, Matrix, Matrix] | None:

@@ -104,7 +104,10 @@ def check_controller_fits(controller: ControllerFile, source: str, period_s: flo
             "(rig: loop.period_s); design it again for this loop"
         )
     if controller.input_unit != unit:
-        raise DocumentError(f"{source}: input_unit: {controller.input_unit}, but the axis is in {unit}")
+        raise DocumentError(
+            f"{source}: input_unit is {controller.input_unit}, but the axis is in {unit}; give a controller "
+            f"that was designed for an axis in {unit}"
+        )
 
 
 def _check_polynomials(num: list[float], den: list[float], where: str) -> None:

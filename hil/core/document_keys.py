@@ -86,10 +86,31 @@ def _table_problems(plain: dict[str, Any], struct: inspect.StructType, steps: St
             meant = nearest(str(key), valid)
             if meant in missing:
                 missing.remove(meant)  # one mistake, one sentence
+            table = _table_with(str(key), struct)
+            if table is not None:
+                where = dotted([*steps, table])
+                yield (
+                    f"{place}unknown key {_shown(key)}; it belongs under [{where}]: is the line [{where}] "
+                    "still a comment?"
+                )
+                continue
             hint = f"; did you mean {meant}?" if meant else "."
             yield f"{place}unknown key {_shown(key)}{hint} Valid keys: {', '.join(valid)}"
     if missing:
         yield f"{place}missing {'key' if len(missing) == 1 else 'keys'} {', '.join(missing)}"
+
+
+def _table_with(key: str, struct: inspect.StructType) -> str | None:
+    """Return the name of an optional table inside ``struct`` that has ``key``, or None."""
+    for field in struct.fields:
+        inner = field.type
+        if isinstance(inner, inspect.UnionType):
+            inner = next((one for one in inner.types if isinstance(one, inspect.StructType)), inner)
+        if field.required or not isinstance(inner, inspect.StructType):
+            continue
+        if any(inside.encode_name == key for inside in inner.fields):
+            return field.encode_name
+    return None
 
 
 def _place(steps: Steps) -> str:

@@ -24,6 +24,8 @@ from hil.core.errors import DocumentError
 
 T = TypeVar("T")
 
+_COMMENTED_HEADING = re.compile(r"#\s*(\[[\w.]+\])")
+
 MAX_NESTING = 32
 """Tables and lists inside one another."""
 MAX_ENTRIES = 10_000
@@ -154,8 +156,20 @@ def _with_line(message: str, text: str) -> str:
     place = re.search(r"line (\d+)", message)
     if place is None:
         return message
-    line = text.splitlines()[int(place[1]) - 1].strip()
-    return f"{message}: {line[:80]}"
+    lines = text.splitlines()[: int(place[1])]
+    comment = _commented_table(lines) if "twice" in message else ""
+    hint = f"; is the line {comment} above it still a comment?" if comment else ""
+    return f"{message}: {lines[-1].strip()[:80]}{hint}"
+
+
+def _commented_table(lines: list[str]) -> str:
+    """Return the heading of a table that is a comment, if it is the last heading before the last line."""
+    for line in reversed(lines[:-1]):
+        if line.startswith("["):
+            return ""
+        if heading := _COMMENTED_HEADING.match(line):
+            return heading[1]
+    return ""
 
 
 def _check_limits(plain: Any, source: str, max_entries: int) -> None:

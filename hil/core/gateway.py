@@ -73,6 +73,7 @@ class Gateway:
         """
         self._stale_limit = rig.adc.stale_after_periods
         self._heartbeat_periods = rig.heartbeat_periods
+        self._calibrated_axis = rig.calibration
         self._clock = PeriodClock(rig.loop.period_ns, first_deadline_ns)
         self._loops = AxisLoops(rig, laws, setpoints, experiment)
         self._guard = SampleGuard(rig)
@@ -285,6 +286,9 @@ class Gateway:
     def _start(self, now_ns: int) -> Output:
         """Begin to control, or refuse, such as for a first setpoint outside the envelope."""
         refusals: list[tuple[str, str]] = list(self._loops.start_refusals())
+        if self._calibrated_axis is not None:
+            text = "this axis is being calibrated (rig: calibration); it can only be jogged"
+            refusals.append((self._calibrated_axis, text))
         if self.experiment is not None and (problem := self._protection.enable_problem(now_ns)) is not None:
             refusals.append((ENABLE, problem))
         if refusals:

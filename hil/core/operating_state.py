@@ -8,6 +8,13 @@ from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState, Trigger, allowed_triggers, next_state
 from hil.core.output import NOTHING, LogEntry, LogThrottle, Output, Severity, combine
 
+_AIMS = {
+    Trigger.ARM: LifeCycleState.ARMED,
+    Trigger.START: LifeCycleState.RUNNING,
+    Trigger.DISARM: LifeCycleState.READY,
+}
+"""State that an operator wants to reach with a trigger."""
+
 
 class OperatingState:
     """Present state and latched fault.
@@ -68,5 +75,9 @@ class OperatingState:
         """Report that the state does not allow an operator's trigger."""
         allowed = ", ".join(allowed_triggers(self.current)) or "nothing"
         state = self.current.name.lower()
+        if _AIMS.get(trigger) is self.current:
+            circumstances = f"it is {state} already"
+        elif self.fault_reason is not None:
+            circumstances = self.fault_reason
         text = f"{trigger.value} refused in state {state} ({circumstances}); allowed: {allowed}"
         return Output(log=(LogEntry(Severity.WARNING, "life cycle", text),))

@@ -231,6 +231,8 @@ class Rig(Document, frozen=True):
     dac: DacSettings
     axes: Annotated[dict[str, AxisSettings], msgspec.Meta(min_length=1)]
     bus: Bus = Bus()
+    calibration: str | None = None
+    """Axis whose limits are wide because it is being calibrated. Controllers cannot start."""
     emergency_stop: InputSettings | None = None
     """Contact without which nothing arms, and whose opening is a fault; None if the rig has none."""
     enable: InputSettings | None = None
@@ -267,6 +269,10 @@ def read_rig(text: str, source: str) -> Rig:
         raise DocumentError(
             f"{source}: axes: {', '.join(rig.axes)}: the boards have channels for {CHANNELS} axes, "
             f"not {len(rig.axes)}"
+        )
+    if rig.calibration is not None and rig.calibration not in rig.axes:
+        raise DocumentError(
+            f"{source}: calibration: {rig.calibration!r} is not an axis of this rig: {', '.join(rig.axes)}"
         )
     for name, axis in rig.axes.items():
         if re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is None:

@@ -18,23 +18,30 @@ ORIGIN = "# calibrated "
 
 
 def with_values(
-    text: str, table: tuple[str, ...], values: Mapping[str, float], origin: str, source: str
+    text: str,
+    table: tuple[str, ...],
+    values: Mapping[str, float],
+    origin: str,
+    source: str,
+    heading: str = ORIGIN,
 ) -> str:
     """Return ``text`` with new numbers in ``table``, and a comment ``# calibrated <origin>`` above them.
+
+    ``heading`` is another beginning of this comment.
 
     ``source`` names the file in errors. Raises DocumentError if the table does not stand under a header of
     its own, such as ``[axes.vertical.valve]``.
     """
     lines = text.splitlines(keepends=True)
     first, end = _body(lines, table, source)
-    body = [line for line in lines[first:end] if not line.startswith(ORIGIN)]
+    body = [line for line in lines[first:end] if not line.startswith(heading)]
     missing = dict(values)
     for place, line in enumerate(body):
         match = re.match(r"([ \t]*)([A-Za-z0-9_-]+)([ \t]*=[ \t]*)([^#\s]+)(.*)", line, re.DOTALL)
         if match is not None and match[2] in missing:
             body[place] = _replaced(match, missing.pop(match[2]))
     added = [f"{key} = {_number(value)}\n" for key, value in missing.items()]
-    edited = "".join([*lines[:first], f"{ORIGIN}{origin}\n", *added, *body, *lines[end:]])
+    edited = "".join([*lines[:first], f"{heading}{origin}\n", *added, *body, *lines[end:]])
     _check(text, edited, table, values, source)
     return edited
 

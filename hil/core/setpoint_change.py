@@ -92,7 +92,16 @@ def _read(request: SetpointRequest, axis: AxisSettings) -> Setpoint:
             f"{name}: {text!r}: the request has no table, and the daemon reads no files; send the text of "
             "the file with the request, as `hil setpoint` does"
         )
-    setpoint = parse_setpoint(_in_full(name, text), table)
+    full = _in_full(name, text)
+    try:
+        setpoint = parse_setpoint(full, table)
+    except SetpointError as error:
+        if table:
+            raise
+        end = " A" if str(error).endswith("?") else "; a"
+        raise SetpointError(
+            f"{name}: {error}{end} position that stays is a number alone, such as {name}=0.05"
+        ) from None
     _check(setpoint, name, axis)
     return setpoint
 

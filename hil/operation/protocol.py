@@ -201,6 +201,8 @@ class AxisStatus(msgspec.Struct, frozen=True):
     """Output of the controller in volts, before the limits."""
     command_v: float | None
     """Commanded valve voltage in volts."""
+    potentiometer_v: float | None = None
+    """Potentiometer voltage in volts that the position was computed from."""
 
 
 class Status(msgspec.Struct, frozen=True):
@@ -235,6 +237,8 @@ class Status(msgspec.Struct, frozen=True):
     """Signals of every axis, in the order of the rig file."""
     max_lateness_since_start_ms: float = 0.0
     """Largest delay of a period's begin since the start, in milliseconds."""
+    calibrated_axis: str | None = None
+    """Axis whose limits are wide because it is being calibrated. Controllers do not start then."""
     overridden_checks: tuple[str, ...] = ()
     """Failed checks that an operator has overridden to arm."""
     log: tuple[LogLine, ...] = ()

@@ -43,6 +43,7 @@ from hil.operation.protocol import (
     ControllerCall,
     EventCall,
     Greeting,
+    JogCall,
     LogLine,
     LoopCall,
     SetpointCall,
@@ -270,6 +271,8 @@ class Server:
                 if controller.refusal:
                     raise DocumentError(f"controller refused: {controller.refusal}")
                 return controller
+            case JogCall():
+                self._check_axis(call.axis)
             case SetpointCall():
                 self._check_axis(call.axis)
                 table = prepare_setpoint(SetpointRequest(call.axis, call.setpoint, call.table), self._rig)

@@ -68,6 +68,8 @@ class Described(NamedTuple):
     period_s: float
     epoch_offset_ns: int
     """Epoch time minus monotonic time in ns."""
+    calibrated_axis: str | None = None
+    """Axis that is being calibrated."""
 
 
 class OperatorPort:
@@ -221,6 +223,7 @@ class OperatorPort:
             lost_samples=gateway.lost_samples,
             recording=self._recording(),
             max_lateness_since_start_ms=self._max_lateness_since_start_ns / 1e6,
+            calibrated_axis=described.calibrated_axis,
             overridden_checks=gateway.overridden_checks,
             axes=tuple(
                 _axis_status(name, unit, signals)
@@ -274,6 +277,4 @@ def _core_request(call: LoopCall, failures: tuple[CheckFailure, ...]) -> Request
 
 
 def _axis_status(name: str, unit: str, signals: AxisSignals) -> AxisStatus:
-    setpoint, position, error, output_v, command_v, *_ = signals
-    values = (v if math.isfinite(v) else None for v in (setpoint, position, error, output_v, command_v))
-    return AxisStatus(name, unit, *values)
+    return AxisStatus(name, unit, *(v if math.isfinite(v) else None for v in signals[:6]))

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.core.calibration_rig import calibration_text
 from hil.core.closed_loop_poles import check_closed_loop
 from hil.core.control_law import ControlLaw, LawNumbers, check_law_runs, law_numbers
 from hil.core.controller_change import delay_periods
@@ -193,6 +194,16 @@ def setup_from_texts(
     return RunSetup(rig, files, parsed, dict(texts), experiment)
 
 
+def calibration_setup(setup: RunSetup, axis: str, source: str) -> RunSetup:
+    """Return ``setup`` with the limits of ``axis`` widened for its calibration.
+
+    ``source`` names the rig file in errors. Raises DocumentError.
+    """
+    text = calibration_text(setup.texts[RIG_NAME], axis, source)
+    setpoints = {name: setpoint.text for name, setpoint in setup.setpoints.items()}
+    return setup_from_texts({**setup.texts, RIG_NAME: text}, setpoints, {RIG_NAME: source})
+
+
 def shipped_controllers() -> list[str]:
     """Return the names of the controllers that the package contains."""
     return sorted(path.stem for path in SHIPPED_CONTROLLERS.glob("*.json"))
@@ -200,7 +211,7 @@ def shipped_controllers() -> list[str]:
 
 def controller_path(name: str) -> Path:
     """Return the file of a shipped controller by its name, or the file ``name``. Raises DocumentError."""
-    return _controller_path(name, Path(), "controller")
+    return _controller_path(name, Path(), "")
 
 
 def _controller_path(name: str, base: Path, origin: str) -> Path:
@@ -214,8 +225,8 @@ def _controller_path(name: str, base: Path, origin: str) -> Path:
     path = base / name
     if not path.exists():
         raise DocumentError(
-            f"{origin}: controller {name!r}: there is no file {path}, and it is none of the shipped "
-            f"{', '.join(shipped)}{did_you_mean(name, shipped)}"
+            f"{origin}{': ' if origin else ''}controller {name!r}: there is no file {path}, and no shipped "
+            f"controller has this name ({', '.join(shipped)}){did_you_mean(name, shipped)}"
         )
     return path
 

@@ -62,6 +62,20 @@ def commands(recording: Recording) -> list[tuple[float, ...]]:
     return [codec.decode_rpdo1_dac(frame.data)[:3] for frame in frames if frame.id == codec.RPDO1_DAC]
 
 
+def test_the_watchdog_of_systemd_is_not_served_while_the_loop_stalls(running: Daemon) -> None:
+    """The whole process is stopped, as it is when the kernel does not let it run."""
+    running.await_notification("WATCHDOG=1")
+    os.kill(running.process.pid, signal.SIGSTOP)
+    try:
+        running.forget_notifications()
+        assert running.is_silent_for(1.0), "ten intervals of the notification"
+    finally:
+        os.kill(running.process.pid, signal.SIGCONT)
+    running.await_notification("WATCHDOG=1")
+    assert running.hil("shutdown").returncode == 0
+    running.await_notification("STOPPING=1")
+
+
 def test_a_daemon_is_operated_and_its_recording_verifies(running: Daemon) -> None:
     with running.client() as client:
         with pytest.raises(RequestRefusedError, match="start refused in state ready"):

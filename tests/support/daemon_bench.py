@@ -54,6 +54,20 @@ class Daemon:
         while wanted not in self._queue.get(timeout=TIMEOUT_S).splitlines():
             pass
 
+    def is_silent_for(self, duration_s: float) -> bool:
+        """True if no notification comes for a time, after at most one that was sent before."""
+        for _ in range(2):
+            try:
+                self._queue.get(timeout=duration_s)
+            except queue.Empty:
+                return True
+        return False
+
+    def forget_notifications(self) -> None:
+        """Forget the notifications that have come so far."""
+        while not self._queue.empty():
+            self._queue.get_nowait()
+
     def _read(self) -> None:
         """Read notifications as they come, as systemd does: the kernel keeps only a few."""
         with contextlib.suppress(OSError):

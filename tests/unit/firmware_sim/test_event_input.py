@@ -87,7 +87,11 @@ def test_events_are_checked_with_the_rig_and_the_plant() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("payload", "the forms are: payload:KG, supply-pressure:GAUGE_KPA"),
+        ("payload", "event 'payload': its values are missing; write payload:KG"),
+        ("paylod:3", r"did you mean payload\? Write payload:KG"),
+        ("hnag:adc", r"did you mean hang\? The forms are: payload:KG, supply-pressure"),
+        ("elephant:3", "not an event; the forms are: payload:KG, supply-pressure:GAUGE_KPA"),
+        ("payload:heavy", "event 'payload:heavy': mass_kg is 'heavy', but must be a number"),
         ("payload:3@soon", "event 'payload:3@soon': not a fault"),
         ("friction:vertical", "takes the values"),
         ("hang:third", "board is 'third'"),

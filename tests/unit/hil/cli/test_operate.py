@@ -186,9 +186,11 @@ def test_an_event_is_checked_by_the_daemon(bench: Bench, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["jog", "vertical"], "the axis or the value is missing"),
+        (["jog", "vertical"], "the value is missing; write vertical=+0.5"),
         (["jog", "vertical=fast"], "'fast' is not a number of volts"),
-        (["setpoint", "vertical"], "the axis or the value is missing; write vertical=0.05"),
+        (["setpoint", "vertical"], "the value is missing; write vertical=0.05"),
+        (["setpoint", "0.05"], "the axis is missing; write vertical=0.05"),
+        (["setpoint", "vertical", "0.1"], "'vertical' and '0.1' belong together; write vertical=0.1"),
         (["controller", "vertical=nosuch"], "there is no file nosuch"),
     ],
 )
@@ -196,6 +198,26 @@ def test_wrong_values_have_status_2(
     bench: Bench, arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*arguments, *bench[1]]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            ["setpoint", "--setpoint", "vertical=0.1"],
+            "is an option of `hil run`; write hil setpoint vertical=0.1",
+        ),
+        (["controller", "--controller", "vertical=hls"], "write hil controller vertical=hls"),
+        (["event", "--event"], "write hil event payload:3"),
+        (["record"], "required: new|stop"),
+    ],
+)
+def test_wrong_arguments_say_what_to_write(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
     assert words in capsys.readouterr().err
 
 

@@ -237,7 +237,7 @@ def test_a_recording_without_a_period_says_what_it_has(
         (["--with-controller", "vertical"], "--with-controller vertical: write AXIS=FILE"),
         (["--with-controller", "elbow=ppid"], "no axis 'elbow'"),
         (["--with-controller", "vertical=none.json"], "there is no file none.json"),
-        (["--with-controller", "rotation=ppid"], "input_unit: m, but the axis is in rad"),
+        (["--with-controller", "rotation=ppid"], "input_unit is m, but the axis is in rad"),
         (["--with-controller", "vertical=hls", "-o", "x.pdf"], "a plot's name ends in .png"),
         (["--with-controller", "vertical=hls", "--with-controller", "vertical=zn"], "is given twice"),
     ],

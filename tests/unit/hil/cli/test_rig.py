@@ -66,3 +66,12 @@ def test_a_rig_file_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main(["--init", str(tmp_path / "rig.toml")]) == 0
     assert main(["--check", str(tmp_path / "rig.toml")]) == 0
     assert "valid; axes vertical, horizontal, rotation" in capsys.readouterr().out
+
+
+def test_the_folder_of_the_eds_files_is_created(tmp_path: Path) -> None:
+    assert main(["--eds", str(tmp_path / "new" / "eds")]) == 0
+    assert (tmp_path / "new" / "eds" / "dac.eds").exists()
+    with pytest.raises(DocumentError, match=r"dac\.eds: is a file, not a folder; name a folder"):
+        main(["--eds", str(tmp_path / "new" / "eds" / "dac.eds")])
+    with pytest.raises(DocumentError, match=r"adc\.eds: exists already and is kept; name another folder"):
+        main(["--eds", str(tmp_path / "new" / "eds")])

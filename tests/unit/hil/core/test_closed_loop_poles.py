@@ -99,7 +99,7 @@ def test_positive_feedback_is_refused_with_the_modulus() -> None:
     file = json.loads((SHIPPED_CONTROLLERS / "horizontal.json").read_text())
     wrong = controller(PidLaw(kp=-11.6, ki=-5.1), file["origin"]["plant"])
     with pytest.raises(
-        DocumentError, match=r"file: the closed loop .* largest pole has the modulus 1\.0\d+, "
+        DocumentError, match=r"file: the closed loop .* its pole z = \S+ has the modulus 1\.0\d+, "
     ):
         check_closed_loop(wrong, "file", 1)
 

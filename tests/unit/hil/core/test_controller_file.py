@@ -269,7 +269,9 @@ class TestFit:
         )
 
     def test_another_unit_is_refused(self) -> None:
-        with pytest.raises(DocumentError, match=r"^mine\.json: input_unit: m, but the axis is in rad$"):
+        with pytest.raises(
+            DocumentError, match=r"^mine\.json: input_unit is m, but the axis is in rad; give a"
+        ):
             check_controller_fits(self.CONTROLLER, "mine.json", 0.0112, "rad")
 
 

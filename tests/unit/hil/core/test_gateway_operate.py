@@ -332,7 +332,7 @@ class TestControllers:
         [
             ("{", "new.json: not valid JSON"),
             (pid(1.0, sample_time_s=0.01), "sample_time_s: 0.01 s is not the loop's 0.0112 s"),
-            (pid(1.0, input_unit="rad"), "input_unit: rad, but the axis is in m"),
+            (pid(1.0, input_unit="rad"), "input_unit is rad, but the axis is in m; give a controller"),
             (pid(1e13), "law.kp"),
             (pid(0.5, origin={"plant": {"num": [1.0], "den": [1.0, -1.0]}}), "has the modulus 1.005"),
             (" " * 140_000, "the controller file has 140000 characters, limit 131072"),

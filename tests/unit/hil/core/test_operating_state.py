@@ -78,6 +78,25 @@ def test_a_loss_in_fault_is_not_reported() -> None:
     assert state_at(LifeCycleState.FAULT).lose("adc", "x") is NOTHING
 
 
+@pytest.mark.parametrize(
+    ("state", "trigger", "text"),
+    [
+        (LifeCycleState.ARMED, Trigger.ARM, "arm refused in state armed (it is armed already); allowed: "),
+        (LifeCycleState.RUNNING, Trigger.START, "start refused in state running (it is running already); "),
+        (LifeCycleState.READY, Trigger.DISARM, "disarm refused in state ready (it is ready already); "),
+        (LifeCycleState.FAULT, Trigger.ARM, "arm refused in state fault (adc: silent); allowed: reset"),
+    ],
+)
+def test_a_refusal_says_that_nothing_is_left_to_do_or_which_fault_there_is(
+    state: LifeCycleState, trigger: Trigger, text: str
+) -> None:
+    operating = state_at(LifeCycleState.READY)
+    operating.fault("adc", "silent")
+    if state is not LifeCycleState.FAULT:
+        operating = state_at(state)
+    assert operating.refuse(trigger, "boards up").log[0].text.startswith(text)
+
+
 def test_a_refusal_names_the_state_its_circumstances_and_the_allowed_triggers() -> None:
     operating = state_at(LifeCycleState.ARMED)
     assert not operating.allows(Trigger.STOP)

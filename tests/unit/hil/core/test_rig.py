@@ -276,6 +276,18 @@ TABLES = "Valid keys: loop, gateway, adc, dac, axes, bus, emergency_stop, enable
             "loop: unknown key period; did you mean period_s? Valid keys: period_s, poll_before_deadline_s, "
             "poll_for_sample_s, required_rights",
         ),
+        (
+            "# max_speed = ",
+            "max_speed = ",
+            "axes.vertical: unknown key max_speed; it belongs under [axes.vertical.envelope]: is the line "
+            "[axes.vertical.envelope] still a comment?",
+        ),
+        (
+            "# jog_max_v = ",
+            "jog_max_v = ",
+            "axes.vertical: unknown key jog_max_v; it belongs under [axes.vertical.operator]: is the line "
+            "[axes.vertical.operator] still a comment?",
+        ),
         ("[loop]", "[lop]\n[loop]", f"unknown key lop; did you mean loop? {TABLES}"),
         (
             "centre_v = ",
@@ -291,6 +303,16 @@ TABLES = "Valid keys: loop, gateway, adc, dac, axes, bus, emergency_stop, enable
 def test_unknown_and_missing_keys_are_refused(line: str, instead: str, text: str) -> None:
     assert line in EXAMPLE
     assert refusal(EXAMPLE.replace(line, instead, 1)) == f"my.toml: {text}"
+
+
+def test_a_key_that_is_given_twice_because_its_table_is_a_comment() -> None:
+    text = EXAMPLE.replace("# min_y = -0.1617", "min_y = -0.1617", 1)
+    assert refusal(text).endswith("; is the line [axes.vertical.envelope] above it still a comment?")
+    twice = EXAMPLE.replace(
+        "[axes.vertical.potentiometer]\n", "[axes.vertical.potentiometer]\nchannel = 2\n", 1
+    )
+    assert "given twice" in refusal(twice)
+    assert "comment" not in refusal(twice)
 
 
 @pytest.mark.parametrize("part", ["potentiometer", "valve"])

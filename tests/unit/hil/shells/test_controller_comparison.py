@@ -68,7 +68,7 @@ def test_the_limits_of_the_rig_act_on_the_other_controller(run: Recording) -> No
     ("axis", "changes", "message"),
     [
         ("vertcal", {}, "no axis 'vertcal'; .*did you mean vertical"),
-        ("vertical", {"input_unit": "rad"}, "input_unit: rad, but the axis is in m"),
+        ("vertical", {"input_unit": "rad"}, "input_unit is rad, but the axis is in m"),
         ("vertical", {"sample_time_s": 0.01}, "is not the loop's 0.0112 s"),
     ],
 )

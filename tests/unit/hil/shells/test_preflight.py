@@ -205,10 +205,10 @@ class TestCommand:
 
 
 def test_an_advice_is_filled_to_the_width_and_a_command_stays_whole() -> None:
-    prose = "the kernel kills a loop that is busy for longer, so start another session"
+    prose = "the kernel kills a loop that is busy for longer, so open another session"
     long_command = "sudo ip link set can0 up type can bitrate 500000 restart-ms 100 txqueuelen 1000 fd off"
     assert command.advice_lines(f"{long_command}\n{prose}", 60) == [
         f"  {long_command}",
-        "  the kernel kills a loop that is busy for longer, so start",
+        "  the kernel kills a loop that is busy for longer, so open",
         "  another session",
     ]

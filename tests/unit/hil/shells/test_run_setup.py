@@ -130,7 +130,8 @@ class TestRefusals:
         rig = rig_file(tmp_path, {"axes.vertical.controller": '"pppid"'})
         assert refusal(rig, {}, {}) == (
             f"{rig}: axes.vertical.controller: controller 'pppid': there is no file {tmp_path / 'pppid'}, "
-            f"and it is none of the shipped {', '.join(shipped_controllers())}; did you mean ppid?"
+            f"and no shipped controller has this name ({', '.join(shipped_controllers())}); "
+            "did you mean ppid?"
         )
 
     def test_a_file_is_named_as_the_user_wrote_it(
@@ -148,7 +149,8 @@ class TestRefusals:
             f"horizontal: {slow}: sample_time_s: 0.1 s is not the loop's 0.0112 s"
         )
         assert refusal(None, {"rotation": "ppid"}, {}) == (
-            f"rotation: {SHIPPED_CONTROLLERS / 'ppid.json'}: input_unit: m, but the axis is in rad"
+            f"rotation: {SHIPPED_CONTROLLERS / 'ppid.json'}: input_unit is m, but the axis is in rad; give a "
+            "controller that was designed for an axis in rad"
         )
 
     def test_a_law_without_a_stable_anti_windup_gain(self, tmp_path: Path) -> None:
