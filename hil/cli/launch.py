@@ -73,6 +73,7 @@ def run_realtime(
         observer: Observer = display
         if feed is not None:
             observer = Observers(display, feed)
+        recorder.await_start()
         loop = setup.rig.loop
         with real_time_rights(loop.poll_before_deadline_s, loop.poll_for_sample_s) as rights:
             polling = polling_of(rights, setup)
