@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.boards.codec import data_identity, decode_values
+from hil.core.errors import RequestRefusedError
 from hil.core.life_cycle import LifeCycleState
 from hil.core.requests import SetpointRequest
 from hil.core.rig import read_rig
@@ -81,7 +82,8 @@ def operated_loop(path: Path, socket_path: Path, drive: Callable[[Client], list[
                 client.arm()
                 client.start()
                 asked_ns = drive(client)
-                client.stop()
+                with contextlib.suppress(RequestRefusedError):  # in state fault, which the recording explains
+                    client.stop()
                 client.shutdown()
         except BaseException:
             daemon.kill()
@@ -218,8 +220,10 @@ def attacked_loop(path: Path, socket_path: Path, duration_s: float) -> Circumsta
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as watching:
         assert watching.stdout is not None
         watching.stdout.readline()
-        operated_loop(path, socket_path, attack_and_watch)
-        watching.terminate()
+        try:
+            operated_loop(path, socket_path, attack_and_watch)
+        finally:
+            watching.terminate()
         stalls = [(due, woke) for due, woke in json.loads(watching.stdout.read())]
     return Circumstances(stalls, *found[0])
 
@@ -310,6 +314,7 @@ def main() -> int:
         circumstances = attacked_loop(path, socket_path, hostile_s)
         late_us, response_us = lateness_and_response(path)
         missed = missed_periods(path)
+        fault = Recording(path).metadata["ending"]["fault"] or "none"
         by_machine, by_gateway = missed_by_cause(path, circumstances.stalls)
         missed_bare = sum(missed_periods(folder / f"bare{number}.mcap") for number in rounds)
         missed_operated = sum(missed_periods(folder / f"daemon{number}.mcap") for number in rounds)
@@ -328,7 +333,8 @@ def main() -> int:
         f"missed periods {missed}; commands outside limits {outside} of {len(late_us)}"
     )
     print(
-        f"late or skipped periods while the machine stalled {by_machine}, others {by_gateway}, target 0; "
+        f"fault: {fault}; late or skipped periods while the machine stalled {by_machine}, others "
+        f"{by_gateway}, target 0; "
         f"stalls of the witness over 1 ms: {len(circumstances.stalls)}; time stolen by the host "
         f"{circumstances.stolen_s:.1f} s; major page faults of the loop {circumstances.page_faults}"
     )
