@@ -85,6 +85,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         plan = OperatorPlan()
         loop = setup.rig.loop
         with real_time_rights(loop.poll_before_deadline_s, loop.poll_for_sample_s) as rights:
+            polling = polling_of(rights, setup)
             port = OperatorPort(
                 pipe,
                 _described(setup, bus, epoch_offset_ns),
@@ -118,7 +119,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 session.note(LogEntry(Severity.WARNING, "live", feed_warning))
             for warning in (*protection_warnings(setup, bus), *calibration_warnings(setup.rig)):
                 session.note(warning)
-            error = run(session, link, stop, port.serve, polling_of(rights, setup))
+            error = run(session, link, stop, port.serve, polling)
         notifier.send("STOPPING=1")
         metadata = {"rights": rights.as_metadata(), "ending": _ending(session, link)}
         if error is not None:

@@ -73,8 +73,10 @@ def run_realtime(
         observer: Observer = display
         if feed is not None:
             observer = Observers(display, feed)
+        recorder.await_start()
         loop = setup.rig.loop
         with real_time_rights(loop.poll_before_deadline_s, loop.poll_for_sample_s) as rights:
+            polling = polling_of(rights, setup)
             most_refused = setup.rig.adc.stale_after_periods
             gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
             session = Session(
@@ -90,7 +92,7 @@ def run_realtime(
             for warning in protection_warnings(setup, bus):
                 session.note(warning)
             _announce(session, setup, plan.duration_s, planned)
-            error = run(session, link, stop_request, polling=polling_of(rights, setup))
+            error = run(session, link, stop_request, polling=polling)
         ending = _ending(plan, gateway) | {
             "frames dropped by the kernel": dropped_by_kernel(link),
             "frames unreadable": str(link.unreadable),

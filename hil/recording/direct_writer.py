@@ -54,6 +54,9 @@ class DirectWriter:
     def push(self) -> None:
         """Return at once: no block waits."""
 
+    def await_start(self) -> None:
+        """Return at once: no process starts."""
+
     def drain(self) -> None:
         """Return at once: no block waits."""
 

@@ -8,6 +8,7 @@ import os
 import select
 import subprocess
 import sys
+import time
 from collections import Counter, deque
 from pathlib import Path
 
@@ -83,6 +84,19 @@ class RecorderPipe:
         self.push()
         if self._lossless:
             self.drain()
+
+    def await_start(self) -> None:
+        """Wait until the process has begun its file, for ``TIMEOUT_S`` at most. Only in real time it says so.
+
+        While a process starts, it takes processor time and reads its code from the disk, which delays a loop
+        that shares a processor with it.
+        """
+        end_s = time.monotonic() + TIMEOUT_S
+        while self.progress is None and self.failure is None and self._process.poll() is None:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0 or not select.select([self._stderr], [], [], left_s)[0]:
+                return
+            self.read_reports()
 
     def read_reports(self) -> None:
         """Read what the process has said since the last call, without waiting."""

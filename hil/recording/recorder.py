@@ -134,6 +134,10 @@ class Recorder:
         ]
         self._pipe.send(_empty_block() + msgspec.msgpack.encode(_with_run_id(header)), HEADER)
 
+    def await_start(self) -> None:
+        """Wait until the recorder process has begun its file. Call this before the loop begins, if at all."""
+        self._pipe.await_start()
+
     def frame_received(self, frame: Frame, now_ns: int, stamp_ns: int) -> None:
         """Record that the core is about to receive ``frame``, which the link stamped ``stamp_ns`` (epoch).
 

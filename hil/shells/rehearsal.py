@@ -59,15 +59,27 @@ class Rehearsal:
         self._number = 0
         """Number of periods that have begun."""
         self._sample_v = _centre_v(rig)
+        self.failure: Exception | None = None
+        """Error that ended the rehearsals."""
         self._bring_up(rig)
 
     @property
     def is_running(self) -> bool:
         """True if the second core controls its axes, as the real one does."""
-        return self._gateway.state is LifeCycleState.RUNNING
+        return self.failure is None and self._gateway.state is LifeCycleState.RUNNING
 
     def __call__(self) -> None:
-        """Run one period: SYNC, the sample that answers it, and the command that answers the sample."""
+        """Run one period: SYNC, the sample that answers it, and the command that answers the sample.
+
+        After an error, the call does nothing: a rehearsal must not end a run.
+        """
+        if self.failure is None:
+            try:
+                self._run_period()
+            except Exception as error:
+                self.failure = error
+
+    def _run_period(self) -> None:
         session = self._session
         if self._number % self._heartbeat_periods == 0:
             self._hear_boards()

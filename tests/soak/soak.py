@@ -38,14 +38,10 @@ MAX_GROWTH_MB = 3.0
 MAX_RECORDER_GROWTH_MB_H = 20.0
 """The recorder process keeps an index entry of each chunk until the end of the file: 1 kB each 0.5 s."""
 MAX_DRIFT_PERIODS = 1.0
-COUNTERS = (
-    "missed periods",
-    "rejected frames",
-    "lost samples",
-    "frames dropped by the kernel",
-    "frames not sent",
-)
+COUNTERS = ("lost samples", "frames dropped by the kernel", "frames not sent")
 """Entries of the metadata ``ending`` that must be 0. Lockstep has no link, and so no link's entries."""
+MACHINE_COUNTERS = ("missed periods", "rejected frames")
+"""Entries that must be 0 in lockstep. In real time, a busy machine makes periods and samples late."""
 
 
 class Memory(NamedTuple):
@@ -125,6 +121,14 @@ def check_recording(checks: Checks, path: Path, run_s: float) -> None:
     for name in COUNTERS:
         if name in ending:
             checks.limit(name, float(ending[name]), 0.0)
+    is_simulated = recording.metadata["recording"]["stamp_origin"] == "simulated"
+    for name in MACHINE_COUNTERS:
+        if is_simulated:
+            checks.limit(name, float(ending[name]), 0.0)
+        else:
+            print(
+                f"  {'counted':8} {name}: {ending[name]}; bench_loaded.py and bench_operation.py find causes"
+            )
     dropped = [
         int(count) for key, count in recording.metadata["recorder"].items() if key.startswith("dropped")
     ]

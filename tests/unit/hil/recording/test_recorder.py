@@ -161,6 +161,26 @@ def test_a_clock_outside_ros_time_is_refused(tmp_path: Path, epoch_offset_ns: in
     assert not (tmp_path / "run.mcap").exists()
 
 
+class TestAwaitStart:
+    def test_the_process_has_begun_its_file(self, tmp_path: Path) -> None:
+        path = tmp_path / "run.mcap"
+        with recorder_process(path, lossless=False) as (recorder, _):
+            recorder.await_start()
+            assert recorder.file_bytes > 0
+            recorder.close({})
+
+    @pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGSTOP], ids=["dead", "hanging"])
+    def test_a_process_that_does_not_start_ends_the_wait(
+        self, signum: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(pipe, "TIMEOUT_S", 0.1)
+        with recorder_process(tmp_path / "run.mcap", lossless=False) as (recorder, process_id):
+            os.kill(process_id, signum)
+            recorder.await_start()
+            assert recorder.file_bytes == 0
+            assert recorder.close({}).failure is not None
+
+
 def test_signals_for_the_gateway_do_not_end_the_recorder(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with recorder_process(path, lossless=False) as (recorder, process_id):

@@ -11,6 +11,7 @@ from support.protected_rigs import EMERGENCY_STOP, ENABLE
 from hil.host.realtime_rights import Rights
 from hil.shells.rehearsal import Rehearsal, polling_of
 from hil.shells.run_setup import RunSetup, load_setup
+from hil.shells.session import Session
 
 PERIODS = 500
 
@@ -44,6 +45,22 @@ def test_it_needs_no_frames_of_an_emergency_stop_or_an_enable_switch(tmp_path: P
     rehearsal = Rehearsal(setup_with(tmp_path, rig_text() + EMERGENCY_STOP + ENABLE))
     rehearsal()
     assert rehearsal.is_running
+
+
+def test_an_error_ends_the_rehearsals_and_not_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    rehearsal = Rehearsal(load_setup(None, {}, {}))
+    error, calls = RuntimeError("defect"), []
+
+    def fail(*_arguments: object) -> None:
+        calls.append(1)
+        raise error
+
+    monkeypatch.setattr(Session, "on_deadline", fail)
+    for _ in range(3):
+        rehearsal()
+    assert rehearsal.failure is error
+    assert not rehearsal.is_running
+    assert len(calls) == 1
 
 
 def test_there_is_a_rehearsal_only_if_the_loop_polls_before_its_deadlines() -> None:
