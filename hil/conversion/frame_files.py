@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from hil.conversion.frames import BusFrame
 from hil.conversion.optional import optional_module
-from hil.conversion.signal_files import utc
+from hil.conversion.signal_files import save_mf4, utc
 from hil.core.frames import Frame
 
 ERROR_FLAG = 0x2000_0000
@@ -131,7 +131,7 @@ def write_mf4_bus(path: Path, blocks: Iterable[npt.NDArray[Any]]) -> int:
             _append_group(file, asammdf, "CAN_DataFrame", rows[is_data], start_ns)
             _append_group(file, asammdf, "CAN_ErrorFrame", rows[rows["is_error"]], start_ns)
             _append_group(file, asammdf, "CAN_RemoteFrame", rows[rows["is_remote"]], start_ns)
-        file.save(path, overwrite=True, compression=1)
+        save_mf4(file, path)
     return 0 if rows is None else len(rows)
 
 

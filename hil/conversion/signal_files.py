@@ -104,8 +104,19 @@ def write_mf4(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) ->
         if len(time_s):
             file.header.start_time = utc(int(table["epoch_ns"][0]))
         file.append(channels, comment="pneumatic-hil")
-        file.save(path, overwrite=True, compression=1)
+        save_mf4(file, path)
     return len(time_s)
+
+
+def save_mf4(file: Any, path: Path) -> None:
+    """Save an asammdf file as ``path``, also if its name lacks .mf4, which asammdf would add."""
+    named = path if path.suffix == ".mf4" else path.with_name(f"{path.name}.mf4")
+    try:
+        file.save(named, overwrite=True, compression=1)
+        named.replace(path)
+    except BaseException:
+        named.unlink(missing_ok=True)
+        raise
 
 
 def utc(epoch_ns: int) -> datetime.datetime:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -113,6 +114,11 @@ class Recording:
                 + (f", version {writer}" if writer else "")
             )
         return own
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The file, or all files of the run."""
+        return tuple(file.path for file in self._contents.files)
 
     @property
     def axes(self) -> dict[str, str]:

@@ -45,7 +45,7 @@ from hil.shells.answers import (
     recorded_answer,
     typed,
 )
-from hil.shells.run_setup import RunSetup, setup_from_texts
+from hil.shells.run_setup import RIG_NAME, RunSetup, setup_from_texts
 
 
 class ReplayReport(NamedTuple):
@@ -76,6 +76,10 @@ def setup_of(recording: Recording) -> RunSetup:
                 f"{recording.path}: the attachment {name} was changed: its SHA-256 is not that in metadata "
                 f"documents.{name}"
             )
+    if RIG_NAME not in recording.attachments:
+        raise RecordingError(
+            f"{recording.path}: the attachment {RIG_NAME} is missing; no gateway can be built without it"
+        )
     texts = {name: text for name, text in recording.documents.items() if is_set_up(name)}
     setup = setup_from_texts(texts, recording.metadata.get("setpoints", {}))
     fingerprint = recording.metadata.get("run", {}).get("configuration sha256")

@@ -37,15 +37,18 @@ _TEMPLATE, _STYLE_SHEET = "recording_report.html", "page_style.html"
 def write_report(recording: Recording, output: Path, overwrite: bool = False) -> int:
     """Write the page to ``output``, and return its size in bytes.
 
-    Raises RecordingExistsError when ``output`` exists and ``overwrite`` is False, and RecordingError when it
-    cannot be written; no half file stays.
+    Raises RecordingExistsError when ``output`` exists and ``overwrite`` is False, or when it is the recording
+    itself, and RecordingError when it cannot be written; no half file stays.
     """
+    if output.exists() and any(output.samefile(path) for path in recording.paths):
+        raise RecordingExistsError(f"{output}: is the recording; -o names another file")
     if os.path.lexists(output) and not overwrite:
         raise RecordingExistsError(f"{output}: exists already; --force overwrites it, -o names another file")
     content = render_report(recording).encode()
-    partial = output.with_name(f"{output.name}.part")
+    partial = output.with_name(f".{output.name}.{os.getpid()}.part")
     try:
-        partial.write_bytes(content)
+        with partial.open("xb") as file:
+            file.write(content)
         partial.replace(output)
     except OSError as error:
         with suppress(OSError):
