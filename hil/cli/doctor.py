@@ -84,7 +84,7 @@ def advice_lines(advice: str, width: int) -> list[str]:
     """Return the lines of an advice. Prose is filled to ``width``; a command to copy stays on its line."""
     lines = []
     for line in advice.splitlines():
-        if any(command in line for command in COMMANDS):
+        if any(f" {command}" in f" {line}" for command in COMMANDS):
             lines.append(f"  {line}")
         else:
             lines += textwrap.wrap(
