@@ -71,7 +71,7 @@ WITH_INPUTS = {
     "twin:dac@0": ("dac: TPDO1_DAC: more answers than SYNCs", 4),
     "lose:read-back@0": ("dac: no read-back of the valves (TPDO1_DAC) for 5 periods", 6),
 }
-"""The same as FAULTS, for a rig file with read-back and an emergency stop, whose timeout_s is 9 periods."""
+"""Faults as in FAULTS, for a rig file with read-back and an emergency stop (timeout_s: 9 periods)."""
 
 STANDING = {
     "freeze-sensor:vertical@0": ("vertical: the position stands still", 2.6),
