@@ -1,5 +1,6 @@
 """``hil live``: what it shows, and which arguments do not fit together."""
 
+from importlib import import_module
 from pathlib import Path
 from unittest import mock
 
@@ -59,3 +60,18 @@ def test_without_a_daemon_the_error_says_so(tmp_path: Path) -> None:
     for arguments in ([], ["--foxglove"]):
         with pytest.raises(OperationError, match="no daemon runs at"):
             live.main(["--socket", str(tmp_path / "none"), *arguments])
+
+
+@pytest.mark.parametrize("command", ["run", "collect"])
+@pytest.mark.parametrize("view", ["--live", "--foxglove"])
+def test_a_run_in_simulated_time_cannot_be_watched(command: str, view: str) -> None:
+    module = import_module(f"hil.cli.{command}")
+    axis = ["--axis", "vertical"] if command == "collect" else []
+    with pytest.raises(DocumentError, match=f"{view} shows a run in real time"):
+        module.main([*axis, "--lockstep", view])
+
+
+def test_every_command_that_runs_in_real_time_has_the_options_of_the_views() -> None:
+    for command, axis in (("run", []), ("collect", ["--axis", "vertical"]), ("daemon", [])):
+        options = import_module(f"hil.cli.{command}").parser().parse_args(axis)
+        assert options.live is False and options.foxglove is None and options.host == "127.0.0.1"
