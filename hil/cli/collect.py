@@ -35,6 +35,7 @@ from hil.core.setpoints import HOLD
 from hil.core.suggestions import did_you_mean
 from hil.host.command_parser import CommandParser, number
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
+from hil.live.address import add_page_options, check_page_options
 from hil.shells.run_plan import Ending, RunPlan
 from hil.shells.run_setup import RunSetup, load_rig, load_setup
 
@@ -153,6 +154,7 @@ def parser() -> CommandParser:
     command.add_argument("--yes", action="store_true", help="do not ask before a real axis moves")
     add_override_option(command)
     add_plant_options(command)
+    add_page_options(command)
     return command
 
 
@@ -164,6 +166,7 @@ def main(argv: list[str]) -> int:
 
     options = parser().parse_args(argv)
     check_plant_options(options)
+    check_page_options(options)
     console = Console(highlight=False, soft_wrap=True, markup=False)
     rig = load_rig(options.rig)
     experiment = _experiment(options, rig)

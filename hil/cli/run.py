@@ -24,7 +24,7 @@ from hil.core.errors import DocumentError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, FORMS
 from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
-from hil.live.address import add_page_options
+from hil.live.address import add_page_options, check_page_options
 from hil.recording.recorder import RecorderReport
 from hil.shells.real_bus import is_real
 from hil.shells.run_plan import Ending, RunPlan
@@ -110,10 +110,7 @@ def main(argv: list[str]) -> int:
     """Run ``hil run`` with ``argv``; return its exit status. Raises HilError for wrong arguments or files."""
     options = parser().parse_args(argv)
     check_plant_options(options)
-    if options.live and options.lockstep:
-        raise DocumentError(
-            "--live shows a run in real time; with --lockstep, play the recording: `hil live FILE`"
-        )
+    check_page_options(options)
     scenario, scenario_text = given_scenario(options)
     setup = read_setup(options, scenario, scenario_text)
     bus = chosen_bus(options, setup)

@@ -9,7 +9,7 @@ import socket
 import sys
 from dataclasses import dataclass
 
-from hil.core.errors import EnvironmentLackError
+from hil.core.errors import DocumentError, EnvironmentLackError
 
 LOOPBACK = "127.0.0.1"
 TOKEN_BYTES = 24
@@ -105,6 +105,15 @@ def add_page_options(command: argparse.ArgumentParser) -> argparse._ArgumentGrou
     group.add_argument("--live", action="store_true", help="show the run on a page in the browser")
     add_address_options(group)
     return group
+
+
+def check_page_options(options: argparse.Namespace) -> None:
+    """Raise DocumentError if a run in simulated time is to be shown."""
+    if options.lockstep and (options.live or options.foxglove is not None):
+        option = "--live" if options.live else "--foxglove"
+        raise DocumentError(
+            f"{option} shows a run in real time; with --lockstep, play the recording: `hil live FILE`"
+        )
 
 
 def check_installed() -> None:

@@ -61,9 +61,9 @@ class Rows {
 }
 
 const live = window.hilLive = { rows: null, run: null, charts: [], delays_ms: [], received: 0, drawn: 0, last: null };
-const DRAW_MS = 50, LABEL_MS = 200;  // 20 pictures and 5 values a second
+const DRAW_MS = 50, LABEL_MS = 200, MAX_DRAW_MS = 500;  // 20 pictures and 5 values a second
 let socket = null, isPaused = false, isDirty = false, mayOperate = false, isOver = false, isRecording = false;
-let view = [0, 30], cursor_s = null, histograms = null, drawn_ms = 0, labelled_ms = 0;
+let view = [0, 30], cursor_s = null, histograms = null, next_draw_ms = 0, labelled_ms = 0;
 
 function connect() {
   socket = new WebSocket(`ws://${location.host}/stream${location.search}`);
@@ -173,9 +173,9 @@ function buildCharts() {
 
 function draw(now_ms) {
   requestAnimationFrame(draw);
-  if (isDirty && live.rows && live.rows.length && now_ms - drawn_ms > DRAW_MS - 4) {
+  if (isDirty && live.rows && live.rows.length && now_ms > next_draw_ms) {
     isDirty = false;
-    drawn_ms = now_ms;
+    limitDrawing(now_ms);
     const rows = live.rows, span = Number(byId("span").value);
     if (!isPaused) {
       const start = Math.max(rows.last - span, rows.at(rows.begin, 0));
@@ -209,6 +209,15 @@ function noteDelays(rows) {
     for (const at_ms of sampled_ms) live.delays_ms.push(now_ms - at_ms);
     if (live.delays_ms.length > 5000) live.delays_ms.splice(0, 2500);
   });
+}
+
+// Draw at most half of the time, so that buttons answer at once also on a machine that draws slowly.
+function limitDrawing(start_ms) {
+  next_draw_ms = Infinity;
+  requestAnimationFrame(() => setTimeout(() => {  // after this picture, its painting and one frame
+    const busy_ms = performance.now() - start_ms;
+    next_draw_ms = start_ms + Math.min(Math.max(2 * busy_ms - 40, DRAW_MS - 4), MAX_DRAW_MS);
+  }));
 }
 
 // Values of a chart: those at the cursor, or the last ones.

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import struct
 import subprocess
 import sys
 import threading
@@ -17,9 +15,9 @@ import foxglove
 import pytest
 from foxglove.websocket import ServerListener
 from mcap.reader import make_reader
+from support.foxglove_client import Client, by_topic, served_messages
 from support.live_feeds import RIG_TEXT, STATES
 from support.recorded_runs import AXES, EPOCH_OFFSET_NS, RUN_HEADER, in_memory, record_periods
-from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from hil.core.errors import EnvironmentLackError
 from hil.core.output import LogEntry, Severity
@@ -58,24 +56,13 @@ def run_both(path: Path, feed: LiveFeed, periods: int, first: int = 0) -> None:
     recorder.close({})
 
 
-def recorded(path: Path) -> list[Message]:
-    """Return the messages of a recording that are served to Foxglove too."""
-    topics = {channel.topic for channel in Packer(RUN).channels}
-    with path.open("rb") as file:
-        return [
-            Message(channel.topic, message.log_time, message.data)
-            for _, channel, message in make_reader(file).iter_messages(log_time_order=False)
-            if channel.topic in topics
-        ]
-
-
 def test_messages_are_those_of_the_recording_to_the_byte(tmp_path: Path, feed: LiveFeed) -> None:
     path = tmp_path / "run.mcap"
     reader = FeedReader(feed.path)
     run_both(path, feed, 50)
     messages = Packer(reader.run).take(reader)
     assert len(messages) == 50 * (len(AXES) + 1) + 1
-    assert messages == recorded(path)
+    assert messages == served_messages(path)
 
 
 def test_channels_have_the_schemas_of_the_recording(tmp_path: Path, feed: LiveFeed) -> None:
@@ -92,47 +79,6 @@ def test_channels_have_the_schemas_of_the_recording(tmp_path: Path, feed: LiveFe
     assert len(served) == len(AXES) + 2
     for channel in served:
         assert in_file[channel.topic] == (channel.type.name, channel.type.definition.encode())
-
-
-class Client:
-    """A client that speaks Foxglove's protocol."""
-
-    def __init__(self, connection: WebSocketClientConnection) -> None:
-        self._connection = connection
-        self.channels: dict[int, dict[str, Any]] = {}
-        self.server: dict[str, Any] = {}
-
-    @classmethod
-    async def connect(cls, port: int) -> Client:
-        """Connect, and subscribe to every channel. The number of a subscription is that of its channel."""
-        connection = await websocket_connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])
-        client = cls(connection)
-        while not client.channels:
-            message = json.loads(str(await connection.read_message()))
-            if message["op"] == "serverInfo":
-                client.server = message
-            elif message["op"] == "advertise":
-                client.channels = {channel["id"]: channel for channel in message["channels"]}
-        await client.send(
-            {"op": "subscribe", "subscriptions": [{"id": n, "channelId": n} for n in client.channels]}
-        )
-        return client
-
-    async def send(self, message: dict[str, Any] | str) -> None:
-        await self._connection.write_message(message if isinstance(message, str) else json.dumps(message))
-
-    async def message(self) -> Message:
-        """Return the next message of a channel: opcode 1, subscription, time and payload."""
-        received: object = ""
-        while not isinstance(received, bytes):
-            received = await self._connection.read_message()
-            assert received is not None
-        opcode, number, time_ns = struct.unpack_from("<BIQ", received)
-        assert opcode == 1
-        return Message(self.channels[number]["topic"], time_ns, received[13:])
-
-    def close(self) -> None:
-        self._connection.close()
 
 
 class Subscriptions(ServerListener):
@@ -179,13 +125,6 @@ def wait_for(work: Coroutine[Any, Any, _Result]) -> _Result:
     return asyncio.run(asyncio.wait_for(work, 30.0))
 
 
-def by_topic(messages: list[Message]) -> dict[str, list[Message]]:
-    found: dict[str, list[Message]] = {}
-    for message in messages:
-        found.setdefault(message.topic, []).append(message)
-    return found
-
-
 def test_a_client_receives_what_is_recorded(tmp_path: Path, feed: LiveFeed, served: Served) -> None:
     path = tmp_path / "run.mcap"
     reader = FeedReader(feed.path)
@@ -199,7 +138,7 @@ def test_a_client_receives_what_is_recorded(tmp_path: Path, feed: LiveFeed, serv
         return messages, client.channels
 
     messages, channels = wait_for(receive())
-    assert by_topic(messages) == by_topic(recorded(path))
+    assert by_topic(messages) == by_topic(served_messages(path))
     for channel in channels.values():
         assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
 
@@ -230,7 +169,7 @@ def test_a_client_that_sends_garbage_or_reads_nothing_troubles_no_other(
             client.close()
         return messages
 
-    assert by_topic(wait_for(receive())) == by_topic(recorded(path))
+    assert by_topic(wait_for(receive())) == by_topic(served_messages(path))
 
 
 def test_the_server_publishes_until_the_run_is_over(

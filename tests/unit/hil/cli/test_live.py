@@ -1,0 +1,77 @@
+"""``hil live``: what it shows, and which arguments do not fit together."""
+
+from importlib import import_module
+from pathlib import Path
+from unittest import mock
+
+import pytest
+from support.recorded_runs import record_run
+
+from hil.cli import live
+from hil.core.errors import DocumentError, OperationError, RecordingError
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> mock.Mock:
+    """Give the function that starts the page's process, which ends at once."""
+    start = mock.Mock(return_value=mock.Mock(wait=mock.Mock(return_value=0)))
+    monkeypatch.setattr("hil.live.process.start_page_server", start)
+    return start
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    path = tmp_path / "run.mcap"
+    record_run(path, 300)
+    return path
+
+
+def test_a_range_of_a_recording_is_played(
+    started: mock.Mock, recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert live.main([str(recorded), "--from", "1", "--to", "2"]) == 0
+    assert started.call_args.kwargs["recording"] == [recorded]
+    assert started.call_args.kwargs["range_s"] == (1.0, 2.0)
+    assert started.call_args.kwargs["feed"] is None
+    assert capsys.readouterr().out.startswith("http://127.0.0.1:")
+
+
+def test_a_recording_that_cannot_be_read_is_refused(started: mock.Mock, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError):
+        live.main([str(tmp_path / "none.mcap")])
+    started.assert_not_called()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run.mcap", "--operate"], "--operate needs a daemon"),
+        (["run.mcap", "--foxglove"], "Foxglove itself opens the recording: open run.mcap there"),
+        (["--operate", "--foxglove"], "--operate needs the page"),
+        (["--from", "1"], "--from and --to are times of a recording"),
+    ],
+)
+def test_arguments_that_do_not_fit_together_are_refused(arguments: list[str], message: str) -> None:
+    with pytest.raises(DocumentError, match=message):
+        live.main(arguments)
+
+
+def test_without_a_daemon_the_error_says_so(tmp_path: Path) -> None:
+    for arguments in ([], ["--foxglove"]):
+        with pytest.raises(OperationError, match="no daemon runs at"):
+            live.main(["--socket", str(tmp_path / "none"), *arguments])
+
+
+@pytest.mark.parametrize("command", ["run", "collect"])
+@pytest.mark.parametrize("view", ["--live", "--foxglove"])
+def test_a_run_in_simulated_time_cannot_be_watched(command: str, view: str) -> None:
+    module = import_module(f"hil.cli.{command}")
+    axis = ["--axis", "vertical"] if command == "collect" else []
+    with pytest.raises(DocumentError, match=f"{view} shows a run in real time"):
+        module.main([*axis, "--lockstep", view])
+
+
+def test_every_command_that_runs_in_real_time_has_the_options_of_the_views() -> None:
+    for command, axis in (("run", []), ("collect", ["--axis", "vertical"]), ("daemon", [])):
+        options = import_module(f"hil.cli.{command}").parser().parse_args(axis)
+        assert options.live is False and options.foxglove is None and options.host == "127.0.0.1"
