@@ -179,7 +179,7 @@ def test_a_jog_that_was_paused_does_not_begin_again(
 def test_an_event_is_checked_by_the_daemon(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     loop, at = bench
     assert main(["event", "payload:3", *at]) == 1
-    assert "only the simulated arm has events" in capsys.readouterr().err
+    assert "only simulated boards have events" in capsys.readouterr().err
     assert not any(isinstance(asked.call, EventCall) for asked in loop.asked)
 
 

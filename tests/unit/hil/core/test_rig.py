@@ -264,7 +264,7 @@ def test_an_error_names_path_value_and_limit(key: str, literal: str, text: str) 
     assert refusal(rig_text({key: literal})) == f"my.toml: {text}"
 
 
-TABLES = "Valid keys: loop, gateway, adc, dac, axes, bus, emergency_stop, enable"
+TABLES = "Valid keys: loop, gateway, adc, dac, axes, bus, calibration, emergency_stop, enable"
 
 
 @pytest.mark.parametrize(
