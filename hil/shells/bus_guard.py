@@ -103,6 +103,8 @@ def _held(spec: str) -> Iterator[None]:
 def lock_name(spec: str) -> str:
     """Return the name of the abstract socket that stands for the bus ``spec``, however it is written."""
     name = spec.removeprefix("socketcan:")
+    if name.startswith("inproc:"):
+        name = f"{os.getpid()}:{name}"  # another process has another bus of this name
     if name.startswith("slcan:"):
         name = f"slcan:{os.path.realpath(name.removeprefix('slcan:').partition('@')[0])}"
     return f"{LOCK_PREFIX}{name}"[:MAX_NAME]

@@ -114,6 +114,12 @@ def test_a_bus_is_held_however_its_name_is_written(one: str, other: str, is_same
     assert (lock_name(one) == lock_name(other)) is is_same
 
 
+def test_a_bus_inside_a_process_is_held_in_this_process_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = lock_name("inproc:x")
+    monkeypatch.setattr(os, "getpid", lambda: 1)
+    assert lock_name("inproc:x") != here
+
+
 def test_a_gateway_that_was_heard_while_this_one_was_prepared_is_refused(ends: tuple[Link, Link]) -> None:
     ours, theirs = ends
     theirs.send(Frame(codec.TPDO1_ADC, bytes(8)))
