@@ -83,7 +83,7 @@ def test_a_daemon_that_records_nothing(tmp_path: Path) -> None:
     with daemon.client() as client:
         with pytest.raises(RequestRefusedError, match="--no-record"):
             client.record_new()
-        with pytest.raises(RequestRefusedError, match="only the simulated arm has events"):
+        with pytest.raises(RequestRefusedError, match="a linear model is simulated"):
             client.event("payload:3")
         client.shutdown()
     assert daemon.end() == 0
