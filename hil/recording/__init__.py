@@ -5,8 +5,8 @@
 ``metadata_digests``, which show damage of metadata. Reading: ``open_recording``, ``reader``, ``tables``,
 ``entry_reader`` with ``entries`` and ``entry_columns``, ``run_files`` (several files as one), and for MCAP
 itself ``mcap_reader``, ``mcap_summary`` (complete files), ``mcap_scan`` with ``record_search`` (files without
-an index, or damaged), ``mcap_chunks``, ``mcap_records``. ``recover`` saves what is whole, and ``repairs`` names
-damage that cost no data. Only the reading modules import numpy; the loop's side imports neither numpy
+an index, or damaged), ``mcap_chunks``, ``mcap_records``. ``recover`` saves what is whole, and ``repairs``
+names damage that cost no data. Only the reading modules import numpy; the loop's side imports neither numpy
 nor mcap.
 """
 
