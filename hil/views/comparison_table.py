@@ -33,10 +33,10 @@ def render(comparison: Comparison) -> RenderableType:
         f"{comparison.to_s:.3f} s from the event",
     ]
     if comparison.shift_periods:
+        periods = f"{comparison.shift_periods:+d} period{'s' * (abs(comparison.shift_periods) != 1)}"
         lines.append(
-            f"the start of control is estimated in an imported log: that of the second run was moved by "
-            f"{comparison.shift_periods:+d} period{'s' * (abs(comparison.shift_periods) != 1)}, where the positions "
-            "agree best"
+            "the start of control is estimated in an imported log: that of the second run was moved by "
+            f"{periods}, where the positions agree best"
         )
     for which, names in (("first", comparison.only_first), ("second", comparison.only_second)):
         if names:
