@@ -1,10 +1,12 @@
 """Recordings: one MCAP file for each run, written by a process of its own, read for replay and analysis.
 
 ``schemas`` defines what is in the file. Writing: ``recorder`` (the loop's side), ``pipe``, ``handover``
-(format of the data between the processes), ``recorder_process``, ``mcap_writer``. Reading:
-``open_recording``, ``reader``, ``tables``, ``entries``, ``run_files`` (several files as one), and for MCAP
-itself ``mcap_reader``, ``mcap_scan`` (files without an index, or damaged), ``mcap_chunks``, ``mcap_records``.
-``recover`` saves what is whole. Only the reading modules import numpy; the loop's side imports neither numpy
+(format of the data between the processes), ``recorder_process``, ``mcap_writer``, ``indexed_file``, and
+``metadata_digests``, which show damage of metadata. Reading: ``open_recording``, ``reader``, ``tables``,
+``entry_reader`` with ``entries`` and ``entry_columns``, ``run_files`` (several files as one), and for MCAP
+itself ``mcap_reader``, ``mcap_summary`` (complete files), ``mcap_scan`` with ``record_search`` (files without
+an index, or damaged), ``mcap_chunks``, ``mcap_records``. ``recover`` saves what is whole, and ``repairs``
+names damage that cost no data. Only the reading modules import numpy; the loop's side imports neither numpy
 nor mcap.
 """
 

@@ -12,7 +12,16 @@ import numpy.typing as npt
 from hil.core.errors import RecordingError
 from hil.recording.reader import Recording
 from hil.recording.recorder import ARM_EVENTS, FAULTS_BEGUN
-from hil.views.comparison_windows import Control, Event, Instant, Pairs, control_of, event_of, pairs_of
+from hil.views.comparison_windows import (
+    Control,
+    Event,
+    Instant,
+    Pairs,
+    best_shift,
+    control_of,
+    event_of,
+    pairs_of,
+)
 
 SIGNALS = {"setpoint": "", "position": "", "error": "", "command_v": "V"}
 """Signals that are compared, and their unit; empty: the unit of the axis."""
@@ -74,6 +83,8 @@ class Comparison:
     """Documents that are not equal in both runs."""
     settings: tuple[str, ...]
     """Setpoints, events, faults and plants that are not equal, with the values of both runs."""
+    shift_periods: int = 0
+    """Periods by which the second run's event was moved, because one of the runs was imported."""
 
     def exceeding(self, tolerances: Mapping[str, float]) -> list[SignalDifference]:
         """Return the differences over the tolerance of their signal; the key "" is for all signals.
@@ -109,6 +120,10 @@ def compare(first: Recording, second: Recording, event: Event | None = None) -> 
         if unit != other_unit:
             raise RecordingError(f"{name} is in {unit} in {first.path}, and in {other_unit} in {second.path}")
     chosen, events = _aligned(first, second, event)
+    shift = 0
+    if chosen is Event.RUNNING and any("imported" in run.metadata for run in (first, second)):
+        shift, moved = best_shift(first, second, common, events)
+        events = events[0], moved
     controls = control_of(first), control_of(second)
     all_periods = controls == (None, None)
     differences: list[SignalDifference] = []
@@ -136,6 +151,7 @@ def compare(first: Recording, second: Recording, event: Event | None = None) -> 
         tuple(name for name in second.axes if name not in common),
         tuple(_unequal_documents(first, second)),
         tuple(_unequal_settings(first, second)),
+        shift,
     )
 
 

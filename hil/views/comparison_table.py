@@ -32,6 +32,12 @@ def render(comparison: Comparison) -> RenderableType:
         f"{comparison.samples} periods of each axis compared, from {comparison.from_s:.3f} to "
         f"{comparison.to_s:.3f} s from the event",
     ]
+    if comparison.shift_periods:
+        periods = f"{comparison.shift_periods:+d} period{'s' * (abs(comparison.shift_periods) != 1)}"
+        lines.append(
+            "the start of control is estimated in an imported log: that of the second run was moved by "
+            f"{periods}, where the positions agree best"
+        )
     for which, names in (("first", comparison.only_first), ("second", comparison.only_second)):
         if names:
             lines.append(f"only the {which} run has {', '.join(names)}")

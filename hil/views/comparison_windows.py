@@ -7,7 +7,7 @@ neighbouring period. Memory is that of one window, whatever the length of the ru
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -20,6 +20,9 @@ from hil.recording.tables import AxisTable, BoolArray, IntArray, TimingTable
 
 WINDOW_S = 300.0
 """Length of the ranges of time that are read at once."""
+MAX_SHIFT = 20
+"""Largest number of periods by which the event of an imported log is moved."""
+_SHIFT_MARGIN_S, _SHIFT_SPAN_S = 5.0, 60.0
 _MARGIN_PERIODS = 2
 """Periods that are read of the second run before and after those of a window of the first."""
 
@@ -87,6 +90,39 @@ def event_of(recording: Recording, event: Event) -> Instant | None:
         if len(timing):
             return _instant(timing, 0)
     return None
+
+
+def best_shift(
+    first: Recording, second: Recording, axes: Sequence[str], events: tuple[Instant, Instant]
+) -> tuple[int, Instant]:
+    """Return by how many periods the second run's event is best moved, and the period that is then its event.
+
+    The positions in the first minute from the event on are closest then. The start of control in an imported
+    bus log is an estimate: it is the first command that opens a valve.
+    """
+    costs: dict[int, float] = {}
+    moved: dict[int, Instant] = {}
+    for axis in axes:
+        parts = [
+            _matched(run.between(event.time_s - _SHIFT_MARGIN_S, event.time_s + _SHIFT_SPAN_S), axis)
+            for run, event in zip((first, second), events, strict=True)
+        ]
+        begins = [
+            int(np.searchsorted(timing.deadline_ns, event.deadline_ns))
+            for (timing, _), event in zip(parts, events, strict=True)
+        ]
+        for shift in sorted(range(-MAX_SHIFT, MAX_SHIFT + 1), key=abs):
+            begin = begins[1] + shift
+            if not 0 <= begin < len(parts[1][0]):
+                continue
+            one, other = parts[0][1].position[begins[0] :], parts[1][1].position[begin:]
+            length = min(len(one), len(other))
+            costs[shift] = costs.get(shift, 0.0) + float(np.nanmean((one[:length] - other[:length]) ** 2))
+            moved[shift] = _instant(parts[1][0], begin)
+    if not costs:
+        return 0, events[1]
+    shift = min(costs, key=costs.__getitem__)
+    return shift, moved[shift]
 
 
 def _first_change(recording: Recording, axis: str) -> Instant | None:

@@ -3,13 +3,15 @@
     python tests/benchmarks/bench_long_recording.py [--hours 10]
 
 Each figure is that of a process of its own: processor time and largest resident memory. Reading is compared
-with the decoded messages of mcap and mcap-ros2-support, and with decompression alone, on the same file. Exit
-status 1: a target was missed. With ten hours, mcap's decoding is not timed, because it takes ten minutes.
+with the decoded messages of mcap and mcap-ros2-support, and with decompression alone, on the same file. The
+recording is one of 5.6 s, repeated with times that go on. Exit status 1: a target was missed. With ten hours,
+mcap's decoding is not timed, because it takes ten minutes.
 """
 
 from __future__ import annotations
 
 import argparse
+import random
 import subprocess
 import sys
 import tempfile
@@ -19,16 +21,20 @@ from typing import NamedTuple
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from support.constants import PERIOD_S
-from support.recorded_runs import RUN_HEADER, record_periods
+from support.long_recordings import record_long_run
+from support.recorded_runs import following, lag, step
 
 import hil
-from hil.recording.recorder import Recorder
 
 MAX_RESIDENT_MB = 300.0
 MAX_PAGE_MB = 5.0
 MIN_RATIO_TO_MCAP, MAX_RATIO_TO_DECOMPRESSION = 30.0, 2.0
 MIN_REPLAY_SPEED = 200.0
 REPLAY_S = 300.0
+
+_noise, _position = random.Random(1), lag(0.1, 1.0, 0.2)
+NOISY = following(step(0.1, 1.0), lambda t: _position(t) + _noise.randrange(-3, 4) * 8e-5)
+"""Signals with the noise of a 12-bit converter. Without it, they would compress to nothing."""
 
 PROGRAMS = {
     "import": "",
@@ -87,13 +93,6 @@ def cost_of(name: str, path: Path) -> Cost:
     return Cost(seconds, resident_mb)
 
 
-def write_recording(path: Path, hours: float) -> None:
-    """Record signals of three axes."""
-    recorder = Recorder(path, RUN_HEADER, lossless=True)
-    record_periods(recorder, round(3600.0 * hours / PERIOD_S))
-    recorder.close({"ending": {"reason": "completed"}})
-
-
 def check(what: str, is_reached: bool) -> bool:
     """Print a target and whether it is reached."""
     print(f"{'reached' if is_reached else 'MISSED':8} {what}")
@@ -107,7 +106,7 @@ def main() -> int:
     hours = parser.parse_args().hours
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.mcap"
-        write_recording(path, hours)
+        record_long_run(path, round(3600.0 * hours / PERIOD_S), NOISY)
         print(f"a recording of {hours:g} h: {path.stat().st_size / 1e6:.0f} MB")
         names = [name for name in PROGRAMS if name != "replay" and (hours < 2.0 or name != "mcap, decoded")]
         costs = {name: cost_of(name, path) for name in names}

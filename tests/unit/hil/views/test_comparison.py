@@ -172,6 +172,24 @@ def test_late_wake_ups_do_not_shift_the_alignment(tmp_path: Path) -> None:
         assert {row.largest for row in comparison.signals} == {0.0}
 
 
+def test_the_estimated_start_of_an_imported_log_is_moved(run: Callable[..., Path]) -> None:
+    """Its state running begins with the first command that opens a valve, four periods late here."""
+    first = run("a.mcap")
+    header = msgspec.structs.replace(RUN_HEADER, metadata={"imported": {"file": "run.log"}})
+    second = first.with_name("b.mcap")
+    with in_memory(second):
+        recorder = Recorder(second, header, lossless=True)
+    record_periods(recorder, 3, lambda t: CENTRED, first=-3, state=LifeCycleState.ARMED)
+    record_periods(recorder, 4, SLOW, state=LifeCycleState.ARMED)
+    record_periods(recorder, 296, SLOW, first=4)
+    recorder.close({})
+    for one, other, shift in ((first, second, -4), (second, first, 4)):
+        comparison = compare(Recording(one), Recording(other))
+        assert comparison.shift_periods == shift
+        assert comparison.samples == 296
+        assert {row.largest for row in comparison.signals} == {0.0}
+
+
 def test_periods_after_the_end_of_control_are_not_compared(tmp_path: Path) -> None:
     first = record_with_lateness(tmp_path / "a.mcap", lambda number: 0)
     second = record_with_lateness(tmp_path / "b.mcap", lambda number: 0, periods=200)
