@@ -64,6 +64,17 @@ class TestNotFinite:
         assert faults(output)[0].startswith(f"{gateway.core._loops._axes[axis].name}: control law gave ")
 
 
+def test_the_failed_sample_is_recorded_with_its_error() -> None:
+    gateway = make_stepped(LifeCycleState.RUNNING)
+    gateway.core._loops._axes[1].law.output = lambda r, y: math.nan  # type: ignore[method-assign]
+    gateway.deadline()
+    output = gateway.sample((5.0, 5.5, 5.0))
+    assert output.cycle is not None
+    signals = output.cycle.axes[1]
+    assert (signals.setpoint, signals.potentiometer_v) == (0.05, pytest.approx(5.5, abs=1e-3))
+    assert signals.error == signals.setpoint - signals.position == pytest.approx(0.05 - 0.0165, abs=1e-4)
+
+
 def test_no_number_that_is_not_finite_reaches_the_valve_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     gateway = make_stepped(LifeCycleState.RUNNING)
     asked: list[float] = []

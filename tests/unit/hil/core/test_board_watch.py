@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from importlib.resources import files
+
 import pytest
 
-from hil.core.board_watch import BoardWatch, NmtState, describe_emergency
+from hil.core.board_watch import EMERGENCIES, BoardWatch, NmtState, describe_emergency
 from hil.core.frames import Frame
+from hil.core.wire import codec
 
 TIMEOUT_NS = 302_400_000
 START = Frame(0x000, b"\x01\x10")
@@ -106,6 +110,15 @@ def test_a_board_that_is_not_operational_is_watched_too() -> None:
 )
 def test_an_emergency_is_described_by_the_known_digits_of_its_code(code: int, words: str) -> None:
     assert describe_emergency(code, 0x11, bytes(5)) == f"EMCY 0x{code:04X} ({words}), error register 0x11"
+
+
+@pytest.mark.parametrize("identifier", [codec.EMCY_ADC, codec.EMCY_DAC])
+def test_the_codes_and_their_texts_are_those_of_the_dbc(identifier: int) -> None:
+    dbc = (files("hil.core.wire") / "arm.dbc").read_text()
+    table = re.search(rf"(?m)^VAL_ {identifier} ErrorCode (.*) ;$", dbc)
+    assert table is not None
+    choices = {int(code): text for code, text in re.findall(r'(\d+) "(.*?)"', table[1])}
+    assert choices == {0: "no error"} | EMERGENCIES
 
 
 def test_vendor_bytes_are_described() -> None:

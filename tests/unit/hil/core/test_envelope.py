@@ -213,3 +213,45 @@ def test_a_violation_names_a_limit_that_the_samples_exceed(samples: list[tuple[f
             "max_still_s": min(abs(past[2]) for past in samples[max(k - 3, 0) : k + 1]) >= 3.0,
         }[key]
         return
+
+
+WIDE = {"min_y": -10.0, "max_y": 10.0, "max_error": 10.0}
+"""Limits for positions that binary fractions give exactly."""
+
+
+def test_the_speed_is_measured_over_four_periods_and_no_more() -> None:
+    """A jump that five periods would allow."""
+    begun = envelope()
+    for k in range(10):
+        assert begun.check(k * PERIOD_S, 0.0, 0.0, 0.0) is None
+    assert begun.check(10 * PERIOD_S, 4.5 * PERIOD_S, 0.0, 0.0) is not None
+
+
+def test_exactly_the_largest_speed_is_allowed() -> None:
+    begun = envelope(**WIDE)
+    assert [begun.check(0.25 * k, 0.25 * k, 0.0, 0.0) for k in range(8)] == [None] * 8
+
+
+def test_messages_name_durations_and_not_times() -> None:
+    begun = envelope(**WIDE)
+    found = [begun.check(8.0 + 0.25 * k, 0.5 * k, 0.0, 0.0) for k in range(5)][-1]
+    assert found is not None
+    assert "changes by 2 m/s over 1000 ms" in found
+    begun = envelope(max_error_s=0.5)
+    assert [begun.check(8.0 + 0.25 * k, 0.0, 1.0, 0.0) for k in range(3)] == [None] * 3
+    found = begun.check(8.75, 0.0, 1.0, 0.0)
+    assert found is not None
+    assert "for 0.75 s, limit 0.5 s" in found
+
+
+def test_a_move_of_exactly_the_band_is_no_motion() -> None:
+    begun = envelope(**WIDE, range_y=500.0, moving_min_y=-9.0, moving_max_y=9.0, max_speed=100.0)
+    assert STILL_SHARE * 500.0 == 1.0
+    assert begun.check(0.0, 0.0, 0.0, 4.0) is None
+    assert begun.check(0.25, 1.0, 0.0, 4.0) is None
+    assert begun.check(0.5, 0.0, 0.0, 4.0) is not None
+
+
+@pytest.mark.parametrize("y", [-0.16, 0.16])
+def test_control_may_begin_at_a_soft_end_stop(y: float) -> None:
+    assert envelope().refusal(y, y) is None

@@ -37,6 +37,21 @@ class TestSecondMaster:
     def test_commands_to_the_boards_are_rpdo_2_to_4_and_sdo(self) -> None:
         assert list(COMMANDS_TO_BOARDS) == [0x320, 0x420, 0x520, 0x620, 0x610]
 
+    @pytest.mark.parametrize(
+        ("identifier", "words"),
+        [
+            (0x320, "RPDO2 to the DAC board"),
+            (0x420, "RPDO3 to the DAC board"),
+            (0x520, "RPDO4 to the DAC board"),
+            (0x620, "SDO to the DAC board"),
+            (0x610, "SDO to the ADC board"),
+        ],
+    )
+    def test_the_fault_names_the_command(self, identifier: int, words: str) -> None:
+        frame = Frame(identifier, bytes(8))
+        reason = f"bus: {words}, frame {frame}: another master is on this bus; disconnect it"
+        assert faults(make_stepped(LifeCycleState.ARMED).receive(frame)) == [reason]
+
     @pytest.mark.parametrize("identifier", COMMANDS_TO_BOARDS)
     def test_a_received_command_to_a_board_is_a_fault_once_armed(self, identifier: int) -> None:
         frame = Frame(identifier, bytes(8))
@@ -103,6 +118,23 @@ class TestUnknownFrames:
         for _ in range(3):
             assert gateway.receive(frame) == Output()
         assert gateway.state is state
+
+    @pytest.mark.parametrize(
+        ("identifier", "words"),
+        [
+            (0x1A0, "TPDO1_DAC, which this rig does not use (rig: dac.read_back)"),
+            (0x290, "TPDO2_ADC, which this rig does not use (rig: emergency_stop.frame, enable.frame)"),
+        ],
+    )
+    def test_a_frame_that_the_rig_file_could_use_is_named(self, identifier: int, words: str) -> None:
+        frame = Frame(identifier, b"\x01")
+        assert texts(make_stepped().receive(frame)) == [
+            f"bus: frame {frame} is {words}; further frames with its identifier are not reported"
+        ]
+
+    def test_an_extended_frame_has_no_meaning_of_a_standard_one(self) -> None:
+        frame = Frame(0x1A0, b"\x01", is_extended=True)
+        assert f"frame {frame} is not in arm.dbc" in texts(make_stepped().receive(frame))[0]
 
     def test_the_number_of_reported_identifiers_is_limited(self) -> None:
         gateway = make_stepped(LifeCycleState.RUNNING)

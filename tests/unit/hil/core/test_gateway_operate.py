@@ -403,6 +403,20 @@ class TestJogs:
         first = sent.index(jogged[0])
         assert sent[first : first + 17] == jogged
 
+    @pytest.mark.parametrize(
+        ("after_ns", "step_v"), [(1_000_000, 0.155), (6_000_000, 0.28), (11_000_000, 0.28)]
+    )
+    def test_the_rate_limit_counts_from_the_command_before(self, after_ns: int, step_v: float) -> None:
+        gateway = make_stepped(LifeCycleState.ARMED, axes__horizontal__valve__max_rate_v_s="25.0")
+        gateway.operate(JogRequest("horizontal", 0.9, 0.5))
+        sent = []
+        for delay_ns in (6_000_000, after_ns):
+            gateway.deadline()
+            gateway.receive(ADC_UP, DAC_UP)
+            (command,) = commands(gateway.sample(after_ns=delay_ns))
+            sent.append(command[1])
+        assert sent == pytest.approx([5.28, 5.28 + step_v], abs=COUNT_V)
+
     def test_the_rate_limit_applies(self) -> None:
         gateway = make_stepped(
             LifeCycleState.ARMED,

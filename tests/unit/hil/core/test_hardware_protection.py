@@ -541,3 +541,26 @@ class TestIgnoredStart:
         subject = SteppedGateway(protected_rig(""))
         answer = Frame(0x5A0, bytes.fromhex("4F01100011000000"))
         assert "is not in arm.dbc" in texts(subject.receive(answer))[0]
+
+
+def test_a_good_frame_of_each_protection_reports_only_what_it_proves() -> None:
+    rig = protected_rig(EMERGENCY_STOP, read_back=True)
+    gateway = SteppedGateway(rig)
+    assert texts(gateway.deadline()) == []
+    assert texts(gateway.receive(inputs_frame(STOP_BIT, 0))) == ["emergency stop: the contact is closed"]
+    assert texts(gateway.receive(read_back_frame((5.0, 5.0, 5.0), 0))) == [
+        "dac: the valves follow their commands"
+    ]
+    gateway.sample()
+    gateway.deadline()
+    assert texts(gateway.receive(inputs_frame(STOP_BIT, 1))) == []
+    assert texts(gateway.receive(read_back_frame((5.0, 5.0, 5.0), 1))) == []
+
+
+def test_the_frame_of_one_contact_says_nothing_about_the_other() -> None:
+    bare = "protected = false\n"
+    gateway = SteppedGateway(protected_rig(EMERGENCY_STOP + bare + ENABLE.replace("0x290", "0x291") + bare))
+    gateway.deadline()
+    assert texts(gateway.receive(Frame(0x291, b"\x03"))) == []
+    assert "no frame 0x290 has shown the contact closed" in gateway.core.readiness
+    assert texts(gateway.receive(Frame(0x290, b"\x01"))) == ["emergency stop: the contact is closed"]

@@ -89,3 +89,12 @@ def test_silence_does_not_count_as_operational() -> None:
     subject.silent()
     subject.operational(5 * SECOND)
     assert subject.sent == 3
+
+
+def test_three_starts_are_ignored_and_more_are_excessive() -> None:
+    starts = NmtStarts()
+    found = []
+    for number in range(4):
+        starts.start_sent(number)
+        found.append((starts.are_ignored, starts.are_excessive))
+    assert found == [(False, False), (False, False), (True, False), (True, True)]

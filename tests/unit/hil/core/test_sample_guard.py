@@ -63,6 +63,18 @@ def test_voltages_are_in_the_order_of_the_rigs_axes() -> None:
     assert accepted(guard(**channels).check(sample(), 0)) == pytest.approx([9.0, 1.0, 5.0], abs=COUNT_V)
 
 
+def test_a_period_without_sync_allows_no_further_answer() -> None:
+    checks = new_guard(adc__protected="false")
+    data = sample()[:6]
+    assert checks.begin_period(0, may_wait=True)
+    for number in (1, 2, 3):
+        assert not checks.begin_period(number * PERIOD_NS, may_wait=True)
+    checks.check(data, 3 * PERIOD_NS)
+    assert not checks.suspects_second_sender
+    checks.check(data, 3 * PERIOD_NS)
+    assert checks.suspects_second_sender
+
+
 class TestLength:
     @pytest.mark.parametrize("length", [0, 1, 6, 7])
     def test_a_protected_sample_must_have_8_bytes(self, length: int) -> None:

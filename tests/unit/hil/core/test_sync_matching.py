@@ -187,6 +187,19 @@ class TestRules:
         steps.period += 100
         assert steps.begin()
 
+    def test_5_each_wait_counts_its_own_periods(self) -> None:
+        steps = behind()
+        steps.periods_without_sync()
+        steps.period += 10
+        assert not steps.begin()
+
+    def test_4_each_sync_is_given_up_at_its_own_time(self) -> None:
+        steps = Steps()
+        assert steps.begin(may_wait=False) and steps.begin(may_wait=False)
+        for _ in range(4):
+            assert not steps.begin()
+        assert steps.answer() == TooOld(4 * PERIOD_NS + QUICK_NS)
+
     def test_6_without_a_counter_sync_waits_after_every_unanswered_one(self) -> None:
         steps = matched(has_counter=False)
         assert steps.begin()

@@ -194,6 +194,15 @@ class TestRefusal:
             commands.refused(centring[number])
         assert commands.command(0, 4.0) == pytest.approx(starts_from_v + 0.28)
 
+    def test_if_the_first_of_two_commands_is_refused_the_second_counts(self) -> None:
+        commands = one_valve(max_rate_v_s=25.0)
+        commands.command(0, 4.0)
+        first = commands.frame()
+        commands.centre()
+        commands.frame()
+        commands.refused(first)
+        assert commands.volts == [5.0]
+
     @given(st.lists(st.tuples(st.floats(-5.0, 5.0), st.booleans()), max_size=60), st.booleans())
     @settings(deadline=None)
     def test_the_bus_never_gets_a_larger_step_than_the_rate_allows(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import msgspec
 import pytest
-from support.constants import CENTRED
+from support.constants import CENTRED, COUNT_V
 from support.gateway_bench import AXES
 from support.protected_rigs import protected_rig, read_back_frame
 
@@ -172,3 +173,25 @@ def test_an_answer_without_sync_is_rejected() -> None:
     assert board.subject.receive(read_back_frame(CENTRED, 0, False).data) == (
         "TPDO1_DAC: no SYNC is unanswered: the frame came twice, or was sent without SYNC"
     )
+
+
+@pytest.mark.parametrize(
+    ("advance", "is_newer"), [(1, True), (127, True), (128, False), (255, False), (0, False)]
+)
+def test_a_counter_may_advance_by_1_to_127(advance: int, is_newer: bool) -> None:
+    board = Answers()
+    board.answer(CENTRED)
+    board.counter += advance - 1
+    assert (board.answer(CENTRED) is None) is is_newer
+
+
+@pytest.mark.parametrize(("counts", "is_fault"), [(20, False), (21, True)])
+def test_a_difference_of_exactly_the_tolerance_is_none(counts: int, is_fault: bool) -> None:
+    rig = protected_rig(read_back=True)
+    dac = msgspec.structs.replace(rig.dac, read_back_tolerance_v=20 * COUNT_V)
+    board = Answers()
+    board.subject = ValveReadBack(msgspec.structs.replace(rig, dac=dac))
+    board.answer(CENTRED)
+    for _ in range(3):
+        board.answer((5.0, 5.0 + counts * COUNT_V, 5.0))
+    assert (board.subject.problem is not None) is is_fault

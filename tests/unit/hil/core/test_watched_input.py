@@ -108,3 +108,25 @@ def test_without_protection_each_frame_counts() -> None:
         assert watched.problem(now_ns) is None
     assert watched.receive(b"\xff\xff\xff\xdf\xff", 2 * TIMEOUT_NS) is None
     assert watched.problem(2 * TIMEOUT_NS) is not None
+
+
+def test_the_reason_of_a_rejection_is_named_until_a_good_frame_arrives() -> None:
+    watched = contact()
+    rejection = give(watched, 1, 0, crc_error=1)
+    assert rejection is not None
+    problem = watched.problem(0)
+    assert problem is not None
+    assert problem.endswith(f"; last frame rejected: {rejection}")
+    give(watched, 0, 1)
+    problem = watched.problem(0)
+    assert problem is not None
+    assert problem.endswith(": it is pressed")
+
+
+def test_a_contact_that_was_closed_again_is_missing_and_not_open() -> None:
+    watched = contact()
+    give(watched, 0, 0)
+    give(watched, 1, 1, now_ns=0)
+    problem = watched.problem(2 * TIMEOUT_NS)
+    assert problem is not None
+    assert problem.startswith("no good frame 0x290 for 100.0 ms")
