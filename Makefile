@@ -20,8 +20,9 @@ test: .venv/for-test test-packages tests/node/node_modules
 	$(BIN)/ruff format --check --quiet $(PYTHON_CODE)
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q -n 2 --cov --cov-report=term:skip-covered tests/unit
-	$(BIN)/python -m pytest -q -n 2 tests/property tests/fuzz
+	$(BIN)/python -m pytest -q -n 2 tests/property tests/fuzz tests/mutants
 	PYTHONPATH=tests $(BIN)/python -m fuzz --inputs 300000
+	PYTHONPATH=tests $(BIN)/python -m mutants --sample 150 --seconds 60
 	$(BIN)/hil vcan -- $(BIN)/python -m pytest -q tests/vcan
 	$(BIN)/python -m pytest -q -n 2 -m "not real_time" tests/acceptance
 	$(BIN)/python -m pytest -q -m real_time tests/acceptance
@@ -45,6 +46,10 @@ test-examples: .venv/for-test test-packages
 fuzz: .venv/for-test
 	PYTHONPATH=tests $(BIN)/python -m fuzz $(if $(SEQUENCE),--sequence $(SEQUENCE)) \
 		--inputs $(or $(N),10000000) --seed $(or $(SEED),1)
+
+# Every mutant of the safety path, or those of MODULES="gateway envelope" alone.
+mutants: .venv/for-test
+	PYTHONPATH=tests $(BIN)/python -m mutants $(if $(MODULES),--only $(MODULES))
 
 # Each prints its figures beside a peer's, measured in the same run.
 bench: .venv/for-test

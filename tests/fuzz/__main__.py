@@ -7,7 +7,7 @@ import sys
 from multiprocessing import get_context
 from pathlib import Path
 
-from fuzz import branch_counters
+from support import branch_counters
 
 branch_counters.install()  # before anything imports hil.core
 
@@ -62,7 +62,7 @@ def _print_summary(results: list[Result]) -> None:
     sys.stdout.write(
         f"{inputs} inputs in {sequences} sequences and {seconds:.1f} s ({inputs / seconds:.0f} inputs/s)\n"
         f"{sum(result.open_commands for result in results)} commands that open a valve\n"
-        f"{branches} of {branch_counters.number_of_branches()} branches of hil.core that were loaded, "
+        f"{branches} of {len(branch_counters.known)} branches of hil.core that were loaded, "
         f"{max(result.branches_by_state for result in results)} pairs of branch and state, "
         f"{kept} sequences kept for them\n"
     )

@@ -6,7 +6,8 @@ import time
 from dataclasses import dataclass
 from random import Random
 
-from fuzz import branch_counters
+from support import branch_counters
+
 from fuzz.broken_rule import BrokenRule
 from fuzz.checker import STATES
 from fuzz.played_rig import PlayedRig
