@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from pathlib import Path
 
@@ -65,6 +66,8 @@ def main(argv: list[str]) -> int:
         url = address.url
     sys.stdout.write(f"{url}\nCtrl-C ends the {'stream' if options.foxglove is not None else 'page'}.\n")
     sys.stdout.flush()
+    for ending in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(ending, lambda received, _frame: sys.exit(128 + received))  # the server ends too
     try:
         return process.wait()
     finally:

@@ -1,5 +1,7 @@
 """``hil live``: what it shows, and which arguments do not fit together."""
 
+import signal
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from unittest import mock
@@ -17,6 +19,15 @@ def started(monkeypatch: pytest.MonkeyPatch) -> mock.Mock:
     start = mock.Mock(return_value=mock.Mock(wait=mock.Mock(return_value=0)))
     monkeypatch.setattr("hil.live.process.start_page_server", start)
     return start
+
+
+@pytest.fixture(autouse=True)
+def handlers() -> Iterator[None]:
+    """Restore the signal handlers that the command sets."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
@@ -75,3 +86,12 @@ def test_every_command_that_runs_in_real_time_has_the_options_of_the_views() -> 
     for command, axis in (("run", []), ("collect", ["--axis", "vertical"]), ("daemon", [])):
         options = import_module(f"hil.cli.{command}").parser().parse_args(axis)
         assert options.live is False and options.foxglove is None and options.host == "127.0.0.1"
+
+
+def test_a_signal_ends_the_serving_process_too(started: mock.Mock, recorded: Path) -> None:
+    process = started.return_value
+    process.wait.side_effect = lambda: signal.raise_signal(signal.SIGTERM)
+    with pytest.raises(SystemExit) as ended:
+        live.main([str(recorded)])
+    assert ended.value.code == 128 + signal.SIGTERM
+    process.terminate.assert_called_once_with()
