@@ -27,4 +27,6 @@ def _incomplete(text: str, after: list[str], prefix: str, example: str) -> str:
         return f"{text!r} and {after[0]!r} belong together; write {prefix}{name}={after[0]}"
     if not name or (not equals and not name.isidentifier()):
         return f"{text!r}: the axis is missing; write {prefix}{example}"
+    if not equals:  # an axis or a name of a controller
+        return f"{text!r}: the axis or the value is missing; write {prefix}{example}"
     return f"{text!r}: the value is missing; write {prefix}{name}={example.partition('=')[2]}"

@@ -152,7 +152,7 @@ def test_the_commands_say_what_happened(running: Daemon) -> None:
 
 
 def test_one_gateway_for_a_bus(running: Daemon, bus: str, rig: str, tmp_path: Path) -> None:
-    """A second gateway hears the first one and sends nothing: the first one goes on without a fault."""
+    """A second gateway of this machine sends nothing: the first one goes on without a fault."""
     second = subprocess.run(
         [*HIL, "run", "--bus", bus, "--rig", rig, "--record", str(tmp_path / "second.mcap")],
         capture_output=True,
@@ -161,12 +161,12 @@ def test_one_gateway_for_a_bus(running: Daemon, bus: str, rig: str, tmp_path: Pa
         check=False,
     )
     assert second.returncode == 2
-    assert "another gateway is on this bus" in second.stderr
+    assert "of this machine is the gateway of this bus" in second.stderr
     assert not (tmp_path / "second.mcap").exists()
     other = [*HIL, "daemon", "--bus", bus, "--rig", rig, "--socket", str(tmp_path / "other.sock")]
     done = subprocess.run(other, capture_output=True, text=True, timeout=TIMEOUT_S, check=False, cwd=tmp_path)
     assert done.returncode == 2
-    assert "another gateway is on this bus" in done.stderr
+    assert "of this machine is the gateway of this bus" in done.stderr
     with running.client() as client:
         assert client.status().state == "ready"
         client.arm()

@@ -186,9 +186,10 @@ def test_an_event_is_checked_by_the_daemon(bench: Bench, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["jog", "vertical"], "the value is missing; write vertical=+0.5"),
+        (["jog", "vertical"], "the axis or the value is missing; write vertical=+0.5"),
         (["jog", "vertical=fast"], "'fast' is not a number of volts"),
-        (["setpoint", "vertical"], "the value is missing; write vertical=0.05"),
+        (["setpoint", "vertical"], "the axis or the value is missing; write vertical=0.05"),
+        (["setpoint", "horizontal="], "the value is missing; write horizontal=0.05"),
         (["setpoint", "0.05"], "the axis is missing; write vertical=0.05"),
         (["setpoint", "vertical", "0.1"], "'vertical' and '0.1' belong together; write vertical=0.1"),
         (["controller", "vertical=nosuch"], "there is no file nosuch"),
