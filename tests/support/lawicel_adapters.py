@@ -55,7 +55,7 @@ class TwoAdapters:
         return self
 
     def resume(self) -> None:
-        self._thread = threading.Thread(target=self._serve)
+        self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
     def pause(self) -> None:

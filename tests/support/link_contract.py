@@ -103,7 +103,7 @@ class LinkContract:
             for _ in range(rounds):
                 far.send(arrived(far))
 
-        thread = threading.Thread(target=echo)
+        thread = threading.Thread(target=echo, daemon=True)
         thread.start()
         times_s = []
         for number in range(rounds):

@@ -95,7 +95,9 @@ def served(folder: Path, facts: Facts = FACTS) -> Iterator[tuple[MadeUpLoop, Pat
     ours, theirs = pipe()
     with listening(path) as listener, ours, theirs:
         listener.setblocking(False)
-        server = threading.Thread(target=lambda: asyncio.run(Server(listener, theirs, facts).run()))
+        server = threading.Thread(
+            target=lambda: asyncio.run(Server(listener, theirs, facts).run()), daemon=True
+        )
         server.start()
         try:
             yield MadeUpLoop(ours), path

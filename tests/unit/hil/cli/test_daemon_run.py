@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from support.patient_rig import write_patient_rig
 
 from hil.cli import daemon_run, main
 from hil.core.errors import OperationError, RequestRefusedError
@@ -25,7 +26,7 @@ class DaemonThread:
         self.status: int | None = None
         self.path = path
         self._thread = threading.Thread(
-            target=self._run, args=(["daemon", "--socket", str(path), *arguments],)
+            target=self._run, args=(["daemon", "--socket", str(path), *arguments],), daemon=True
         )
         self._thread.start()
 
@@ -54,7 +55,9 @@ def without_rights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_a_daemon_on_the_simulated_arm(tmp_path: Path) -> None:
-    daemon = DaemonThread(tmp_path / "s", "--record", "run.mcap")
+    daemon = DaemonThread(
+        tmp_path / "s", "--rig", write_patient_rig(tmp_path / "rig.toml"), "--record", "run.mcap"
+    )
     with daemon.client() as client:
         assert client.status().is_simulated
         assert client.status().recording == "run.mcap"

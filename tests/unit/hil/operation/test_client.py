@@ -32,7 +32,7 @@ def answering(path: Path, *parts: bytes) -> Iterator[Path]:
                     connection.recv(65536)
                 connection.sendall(part)
 
-    thread = threading.Thread(target=serve)
+    thread = threading.Thread(target=serve, daemon=True)
     thread.start()
     yield path
     thread.join()
@@ -92,7 +92,7 @@ def test_a_full_queue_of_connections_is_waited_for(tmp_path: Path) -> None:
         probe.setblocking(False)
         with pytest.raises(BlockingIOError):
             probe.connect(str(path))
-        thread = threading.Thread(target=serve)
+        thread = threading.Thread(target=serve, daemon=True)
         thread.start()
         connect(path).close()
         thread.join()
