@@ -10,7 +10,7 @@ SOURCES_OF_INSTALL := pyproject.toml requirements.lock $(wildcard firmware_sim/a
 export OPENBLAS_NUM_THREADS = 1
 
 .SILENT:
-.PHONY: run test test-examples fuzz mutants bench lock clean run-packages test-packages
+.PHONY: run test test-examples fuzz mutants soak bench lock clean run-packages test-packages
 
 run: .venv/for-run
 	$(BIN)/hil run

@@ -7,11 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from support.foxglove_client import Client, by_topic, served_messages
 
 from hil.cli import main
 from hil.live.foxglove_messages import Message
 from hil.recording.schemas import CYCLE_TOPIC, LOG_TOPIC
+
+pytestmark = pytest.mark.real_time
 
 HIL = [sys.executable, "-m", "hil.cli"]
 MESSAGES = 400
