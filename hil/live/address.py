@@ -15,6 +15,8 @@ LOOPBACK = "127.0.0.1"
 TOKEN_BYTES = 24
 FOXGLOVE_PORT = 8765
 """Port at which Foxglove looks for a stream by default."""
+MAX_PORT = 65535
+"""Largest port number of TCP."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,19 @@ def warn_of_network(what: str, host: str) -> None:
     )
 
 
+def port_number(text: str) -> int:
+    """Return a TCP port, from 0 (any free one) to MAX_PORT, from the text of an argument."""
+    if not (text.isascii() and text.isdecimal()) or int(text) > MAX_PORT:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a port: give a whole number from 0 (a free port) to {MAX_PORT}"
+        )
+    return int(text)
+
+
 def add_address_options(command: argparse._ActionsContainer) -> None:
     """Add the options ``--port`` and ``--host`` of the page."""
     command.add_argument(
-        "--port", type=int, default=0, metavar="N", help="port of the page (default: a free one)"
+        "--port", type=port_number, default=0, metavar="N", help="port of the page (default: a free one)"
     )
     command.add_argument(
         "--host",
@@ -91,7 +102,7 @@ def add_address_options(command: argparse._ActionsContainer) -> None:
     )
     command.add_argument(
         "--foxglove",
-        type=int,
+        type=port_number,
         nargs="?",
         const=FOXGLOVE_PORT,
         metavar="PORT",

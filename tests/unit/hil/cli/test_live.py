@@ -9,7 +9,7 @@ from unittest import mock
 import pytest
 from support.recorded_runs import record_run
 
-from hil.cli import live
+from hil.cli import live, run
 from hil.core.errors import DocumentError, OperationError, RecordingError
 
 
@@ -65,6 +65,22 @@ def test_a_recording_that_cannot_be_read_is_refused(started: mock.Mock, tmp_path
 def test_arguments_that_do_not_fit_together_are_refused(arguments: list[str], message: str) -> None:
     with pytest.raises(DocumentError, match=message):
         live.main(arguments)
+
+
+@pytest.mark.parametrize("option", ["--port", "--foxglove"])
+@pytest.mark.parametrize("text", ["65536", "80000", "-1", "8o"])
+def test_a_number_that_is_no_port_is_refused(
+    option: str, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`hil live`, `hil run` and `hil daemon` take the same options."""
+    for parser in (live.parser(), run.parser()):
+        with pytest.raises(SystemExit):
+            parser.parse_args([f"{option}={text}"])
+        assert f"{text!r} is not a port: give a whole number from 0" in capsys.readouterr().err
+
+
+def test_the_largest_port_is_accepted() -> None:
+    assert live.parser().parse_args(["--port", "65535", "--foxglove", "0"]).port == 65535
 
 
 def test_without_a_daemon_the_error_says_so(tmp_path: Path) -> None:
