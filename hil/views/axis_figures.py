@@ -66,7 +66,10 @@ class Tracking:
     max_error: float
     """Largest magnitude of the error."""
     delay_s: float | None
-    """Shift of the setpoint in time for which it is closest to the position; None if it is constant."""
+    """Shift of the setpoint in time for which it is closest to the position.
+
+    None if the setpoint is constant, or changes so near the end that the rows do not show a response.
+    """
     min_valve_v: float
     max_valve_v: float
 
@@ -344,4 +347,8 @@ class _Delay(NamedTuple):
             float(np.mean((position[delay:] - setpoint[: count - delay]) ** 2))
             for delay in range(largest + 1)
         ]
-        return int(np.argmin(errors)) * period_s
+        delay = int(np.argmin(errors))
+        # Shifted by this much, a setpoint that changes near the end no longer changes within the rows.
+        if np.ptp(setpoint[: count - delay]) == 0.0:
+            return None
+        return delay * period_s

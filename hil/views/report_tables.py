@@ -53,7 +53,7 @@ def tracking_rows(summary: Summary) -> list[list[str]]:
             name,
             f"{1e3 * axis.rms_error:.3f} m{axis.unit}",
             f"{1e3 * axis.max_error:.3f} m{axis.unit}",
-            "constant setpoint" if axis.delay_s is None else f"{1e3 * axis.delay_s:.0f} ms",
+            "unknown" if axis.delay_s is None else f"{1e3 * axis.delay_s:.0f} ms",
             f"{axis.min_valve_v:.2f} to {axis.max_valve_v:.2f} V",
         ]
         for name, axis in summary.axes.items()

@@ -390,6 +390,13 @@ def test_a_constant_setpoint_has_no_delay(tmp_path: Path) -> None:
     assert tracking(tmp_path, following(lambda t: 0.0, lambda t: 0.001)).delay_s is None
 
 
+@pytest.mark.parametrize("periods_after", [1, 3])
+def test_a_setpoint_that_changes_in_the_last_periods_has_no_delay(tmp_path: Path, periods_after: int) -> None:
+    """The rows end before the position could answer, so that no shift of the setpoint has a meaning."""
+    signals = following(step(0.1, 5.0 - (periods_after + 1.5) * PERIOD_S), lambda t: 1e-4 * math.sin(9.0 * t))
+    assert tracking(tmp_path, signals).delay_s is None
+
+
 def test_an_excitation_whose_last_change_happens_to_be_from_rest_has_tracking_errors(tmp_path: Path) -> None:
     """A table of levels changes while the axis is on its way, and at its end after a rest."""
     levels = [0.05, -0.05, 0.08, 0.0, -0.03]
