@@ -98,6 +98,8 @@ class FaultyRig:
         """State of the gateway's host, which the lockstep shell reads."""
         self.begun: list[tuple[int, str]] = []
         """Time in nanoseconds and text of each fault that has begun."""
+        self.on_begin: Callable[[str], None] | None = None
+        """Function that is given the text of each fault when it begins; None: nobody is notified."""
         self._rig = rig
         self._bus = bus
         self._destroyers: dict[int, Callable[[str, int], int | None]] = {}
@@ -313,7 +315,10 @@ class FaultyRig:
     # Begin and end of a fault
 
     def _begin(self, fault: AnyFault, random: Random, now_ns: int) -> Frames:
-        self.begun.append((now_ns, fault_text(fault)))
+        text = fault_text(fault)
+        self.begun.append((now_ns, text))
+        if self.on_begin is not None:
+            self.on_begin(text)
         frames = self._effect(fault, random, now_ns)
         if fault.for_s is not None:
             self._schedule(now_ns + round(fault.for_s * 1e9), partial(self._end, fault))

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import time
 import traceback
+from functools import partial
 from pathlib import Path
 
 from firmware_sim.simulated_plant import build_boards, build_plant, planned_events, refuse_host_faults
@@ -135,10 +136,17 @@ def run_lockstep(
                 gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress, max_refused
             )
             _announce(session, setup, duration_s, planned)
+            if isinstance(boards, FaultyRig):
+                boards.on_begin = partial(_note_fault, session)
             lockstep.run(session, stop_request)
         begun = boards.begun_by_time() if isinstance(boards, FaultyRig) else {}
         ending = _ending(plan, gateway) | ({} if bus is None else bus.figures(lockstep.clock_ns()))
         return recorder.close({"ending": ending} | ({FAULTS_BEGUN: begun} if begun else {}))
+
+
+def _note_fault(session: Session, text: str) -> None:
+    """Log that a simulated fault begins."""
+    session.note(LogEntry(Severity.WARNING, "fault", f"{text} begins (simulated)"))
 
 
 def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dict[str, float]) -> None:

@@ -95,7 +95,7 @@ def quantile_rows(summary: Summary) -> list[list[str]]:
 
 def count_rows(summary: Summary) -> list[tuple[str, str]]:
     """Return label and number of what is counted."""
-    rows = [
+    rows: list[tuple[str, int | None]] = [
         ("periods", summary.periods),
         ("periods before the boards were up", summary.bring_up_periods),
         ("periods missed", summary.missed_periods),
@@ -110,4 +110,6 @@ def count_rows(summary: Summary) -> list[tuple[str, str]]:
         ("error frames", summary.error_frames),
         ("messages not recorded", summary.messages_dropped),
     ]
+    if summary.frames_destroyed is not None:
+        rows.insert(-1, ("frames destroyed on the bus", summary.frames_destroyed))
     return [(label, "not recorded" if count is None else str(count)) for label, count in rows]

@@ -96,6 +96,11 @@ class Summary:
     """Time during which the controllers were to act."""
     bus_load: float | None = None
     """Share of the time in which the modelled bus was in use; None if frames took no time, or a real bus."""
+    frames_destroyed: int | None = None
+    """Number of frames that an error frame destroyed on the modelled bus; None without a modelled bus.
+
+    CAN repeats such a frame, so it is not lost.
+    """
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for other programs; the keys carry the units."""
@@ -125,7 +130,7 @@ def sum_up(
     """Return the summary from the figures of loop and axes, for callers that have read them."""
     counts = recording.counts
     ending = recording.metadata.get("ending", {})
-    dropped, unreadable, not_sent, rejected, lost, error_frames = (
+    dropped, unreadable, not_sent, rejected, lost, error_frames, destroyed = (
         int(ending[key]) if ending.get(key, "").isdecimal() else None
         for key in (
             "frames dropped by the kernel",
@@ -134,6 +139,7 @@ def sum_up(
             "rejected frames",
             "lost samples",
             "error frames",
+            "frames destroyed on the bus",
         )
     )
     return Summary(
@@ -158,6 +164,7 @@ def sum_up(
         controlled_s=loop.controlled_s,
         requested_s=float(ending[REQUESTED_DURATION]) if REQUESTED_DURATION in ending else None,
         bus_load=float(ending["bus load"]) if "bus load" in ending else None,
+        frames_destroyed=destroyed,
     )
 
 
@@ -170,6 +177,7 @@ def losses(summary: Summary) -> list[str]:
         (summary.frames_rejected, "frame", "rejected"),
         (summary.samples_lost, "sample", "lost"),
         (summary.error_frames, "error frame", "on the bus"),
+        (summary.frames_destroyed, "frame", "destroyed by error frames and repeated"),
         (summary.messages_dropped, "message", "not recorded"),
     )
     return [f"{count} {what}{'s' * (count > 1)} {how}" for count, what, how in counted if count]

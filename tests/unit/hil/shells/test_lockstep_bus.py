@@ -14,7 +14,7 @@ from hil.core.errors import DocumentError
 from hil.core.frames import Frame
 from hil.core.wire.frame_bits import bits_on_wire
 from hil.lockstep_rig import LockstepRig
-from hil.recording.entries import FrameReceived, FrameRefused, FrameSent
+from hil.recording.entries import FrameReceived, FrameRefused, FrameSent, Logged
 from hil.recording.reader import Recording
 
 BIT_NS = 2_000
@@ -235,6 +235,22 @@ class TestCommand:
             [e.entry.text for e in recording.entries() if hasattr(e, "entry")]
         )
         capsys.readouterr()
+
+    def test_a_fault_is_logged_when_it_begins_and_destroyed_frames_are_counted(
+        self, rig_file: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        status, recording = self.run(rig_file, "--fault", "error-frames:3@1")
+        assert status == 0
+        assert "3 frames destroyed by error frames and repeated" in capsys.readouterr().out
+        begins = [
+            (e.now_ns, e.entry.text)
+            for e in recording.entries()
+            if isinstance(e, Logged) and e.entry.source == "fault"
+        ]
+        assert begins == [
+            (pytest.approx(1_000_000_000, abs=200_000_000), "error-frames:3@1 begins (simulated)")
+        ]
+        assert main(["replay", str(recording.path)]) == 0
 
     @pytest.mark.parametrize("bit_rate", ["9999", "1000001", '"fast"'])
     def test_an_impossible_bit_rate_is_refused(

@@ -294,6 +294,7 @@ LOSSES = {
     "rejected frames": "frames_rejected",
     "lost samples": "samples_lost",
     "error frames": "error_frames",
+    "frames destroyed on the bus": "frames_destroyed",
 }
 
 
