@@ -331,7 +331,8 @@ class Gateway:
             f"the loop itself missed {skipped} deadlines: other programs or the host took its time; hil "
             "doctor checks the machine"
             if skipped
-            else "no TPDO1_ADC arrived: check the board and its cable"
+            else "no TPDO1_ADC arrived: check the board and its cable, or the bus is overloaded: hil monitor "
+            "shows its load"
         )
         reason = (
             f"no good sample for {self._stale_periods} periods, limit {self._stale_limit} "
