@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 
 from hil.core.errors import DocumentError
+from hil.core.own_bus_load import MAX_USUAL_LOAD, own_bus_load
+from hil.core.rig import Rig
 from hil.host.command_parser import CommandParser
 from hil.host.text_file import read_text
 from hil.shells.run_setup import RIG_NAME, SHIPPED, load_setup
@@ -47,9 +49,7 @@ def main(argv: list[str]) -> int:
     """Run ``hil rig`` with ``argv``; return its exit status. Raises DocumentError."""
     options = parser().parse_args(argv)
     if options.check:
-        setup = load_setup(options.check, {}, {})
-        sys.stdout.write(f"{options.check}: valid; axes {', '.join(setup.rig.axes)}\n")
-        return 0
+        return _check(options.check)
     if options.eds is not None:
         folder = Path(options.eds)
         _create(folder)
@@ -65,6 +65,31 @@ def main(argv: list[str]) -> int:
     else:
         sys.stdout.write(text)
     return 0
+
+
+def _check(path: Path) -> int:
+    """Check a rig file, and the bus load of its own frames if it has a bit rate. Raises DocumentError."""
+    rig = load_setup(path, {}, {}).rig
+    load_text = "" if rig.bus.bit_rate is None else _bus_load_text(path, rig, rig.bus.bit_rate)
+    sys.stdout.write(f"{path}: valid; axes {', '.join(rig.axes)}{load_text}\n")
+    return 0
+
+
+def _bus_load_text(path: Path, rig: Rig, bit_rate: int) -> str:
+    """Return the bus load in words; a high load is warned of. Raises DocumentError if it is 100 % or more."""
+    load = own_bus_load(rig, bit_rate)
+    text = f"the rig's own frames use up to {100.0 * load:.0f} % of {bit_rate} bit/s"
+    remedy = "raise bit_rate or loop.period_s"
+    if load >= 1.0:
+        raise DocumentError(
+            f"{path}: bus.bit_rate: {text}, but the limit is below 100 %: samples would be missing; {remedy}"
+        )
+    if load > MAX_USUAL_LOAD:
+        sys.stderr.write(
+            f"hil rig: {path}: bus.bit_rate: {text}, more than {100.0 * MAX_USUAL_LOAD:.0f} %: there is "
+            f"little room for repeated frames and other nodes; {remedy}\n"
+        )
+    return f"; {text}"
 
 
 def _create(folder: Path) -> None:

@@ -17,6 +17,8 @@ INTERMISSION_BITS: Final = 3
 
 _CRC15_POLYNOMIAL: Final = 0x4599
 _CRC_BITS: Final = 15
+_STANDARD_HEADER_BITS: Final = 19
+"""Bits of a frame with an 11-bit identifier before its data."""
 _BITS_AFTER_CRC: Final = 10 + INTERMISSION_BITS
 """Bits that are never stuffed: CRC delimiter, acknowledgement and its delimiter, end of frame (7), and the
 intermission (3) before the next frame."""
@@ -43,6 +45,17 @@ def bits_on_wire(frame: Frame) -> int:
     state = _STUFFING_8[state & _STATE_MASK | crc >> 7] + (state & _COUNT_MASK)
     state = _STUFFING_7[state & _STATE_MASK | crc & 0x7F] + (state & _COUNT_MASK)
     return bits + (state >> _COUNT_SHIFT) + _CRC_BITS + _BITS_AFTER_CRC
+
+
+def max_bits_on_wire(length: int) -> int:
+    """Return the largest number of bits of a data frame with an 11-bit identifier and ``length`` data bytes.
+
+    Stuff bits and the intermission are included. Of the n bits that can be stuffed, at most (n - 1) // 4 are
+    followed by a stuff bit (Davis et al., Controller Area Network (CAN) schedulability analysis, Real-Time
+    Systems 35, 2007).
+    """
+    stuffable = _STANDARD_HEADER_BITS + 8 * length + _CRC_BITS
+    return stuffable + (stuffable - 1) // 4 + _BITS_AFTER_CRC
 
 
 _STATE_MASK: Final = 0x700

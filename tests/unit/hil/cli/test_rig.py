@@ -75,3 +75,31 @@ def test_the_folder_of_the_eds_files_is_created(tmp_path: Path) -> None:
         main(["--eds", str(tmp_path / "new" / "eds" / "dac.eds")])
     with pytest.raises(DocumentError, match=r"adc\.eds: exists already and is kept; name another folder"):
         main(["--eds", str(tmp_path / "new" / "eds")])
+
+
+def checked(tmp_path: Path, bit_rate: int) -> Path:
+    path = tmp_path / "rig.toml"
+    text = (SHIPPED / "rig.toml").read_text()
+    path.write_text(text.replace("# bit_rate = 500000", f"bit_rate = {bit_rate}"))
+    return path
+
+
+@pytest.mark.parametrize(("bit_rate", "percent"), [(500_000, 6), (125_000, 25)])
+def test_the_check_prints_the_load_by_the_own_frames(
+    tmp_path: Path, bit_rate: int, percent: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--check", str(checked(tmp_path, bit_rate))]) == 0
+    printed = capsys.readouterr()
+    assert f"the rig's own frames use up to {percent} % of {bit_rate} bit/s" in printed.out
+    assert printed.err == ""
+
+
+def test_the_check_warns_of_a_high_load(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--check", str(checked(tmp_path, 40_000))]) == 0
+    assert "more than 70 %: there is little room" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("bit_rate", [10_000, 30_000])
+def test_the_check_refuses_a_bus_that_cannot_carry_the_own_frames(tmp_path: Path, bit_rate: int) -> None:
+    with pytest.raises(DocumentError, match=rf"% of {bit_rate} bit/s, but the limit is below 100 %"):
+        main(["--check", str(checked(tmp_path, bit_rate))])

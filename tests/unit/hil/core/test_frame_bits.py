@@ -5,7 +5,7 @@ import random
 import pytest
 
 from hil.core.frames import Frame
-from hil.core.wire.frame_bits import bits_on_wire
+from hil.core.wire.frame_bits import bits_on_wire, max_bits_on_wire
 
 SHORTEST_STANDARD, SHORTEST_EXTENDED = 47, 67
 """Bits of a frame without data and stuff bits, with the intermission (ISO 11898-1)."""
@@ -99,3 +99,17 @@ def test_a_remote_frame_has_no_data_bits(length: int) -> None:
 
 def test_an_error_frame_of_the_controller_has_no_length() -> None:
     assert bits_on_wire(Frame(0x040, bytes(8), is_error=True)) == 0
+
+
+@pytest.mark.parametrize("length", range(9))
+def test_no_frame_is_longer_than_the_maximum(length: int) -> None:
+    generator = random.Random(length)
+    frames = [
+        Frame(
+            generator.choice((0, 0x0F8, 0x7FF, 0x43C)), generator.choice((b"\x00", b"\x3c", b"\xe1")) * length
+        )
+        for _ in range(40)
+    ]
+    assert (
+        max(map(bits_on_wire, frames)) <= max_bits_on_wire(length) == 47 + 8 * length + (33 + 8 * length) // 4
+    )
