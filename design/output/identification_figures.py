@@ -12,7 +12,10 @@ from design.identification.analysis.comparison import Comparison
 from design.identification.analysis.frequency_response import FrequencyResponse
 from design.identification.analysis.residuals import Correlation
 from design.identification.analysis.uncertainty import Properties, ResponseBand, Root, response_band
+from design.identification.checks.dynamics_checks import NOTED_LOST_PERCENT, share_from_input
+from design.identification.findings import Kind
 from design.identification.identify import Identification
+from design.identification.models.structures import ContinuousPoles, OutputError
 from design.mathematics.polynomials import Array, Flags
 from design.output.charts import (
     PANEL_WIDTH,
@@ -193,7 +196,7 @@ def residual_figure(identification: Identification) -> Figure:
     return Figure(
         "residuals",
         "Residuals: correlation with themselves and with the input",
-        f"Above: {_whiteness_text(own, noise_is_modelled)} Below: {_dynamics_text(after)} "
+        f"Above: {_whiteness_text(own, noise_is_modelled)} Below: {_dynamics_text(identification)} "
         f"{_feedback_text(before)} At positive lags the input comes first. Shaded: the interval in which "
         f"{100.0 * own.level:g} % of the values lie if there is no correlation.",
         draw(panels, "residuals"),
@@ -287,10 +290,28 @@ def _whiteness_text(correlation: Correlation, noise_is_modelled: bool) -> str:
     )
 
 
-def _dynamics_text(correlation: Correlation) -> str:
+def _dynamics_text(identification: Identification) -> str:
+    """Return what the correlation with earlier inputs means, in agreement with the findings."""
+    correlation = identification.residuals.from_input
     if correlation.passed:
         return "no correlation with earlier inputs, so the dynamics are complete."
-    return "a correlation with earlier inputs, so the model lacks dynamics that the record shows."
+    if {finding.kind for finding in identification.findings} & {Kind.NOT_EXPLAINED, Kind.DEAD_TIME}:
+        return (
+            "a correlation with earlier inputs, so the model lacks dynamics that the record shows; see the "
+            "finding."
+        )
+    share = 100.0 * share_from_input(identification.residuals)
+    small = (
+        "a correlation with earlier inputs, so the model lacks dynamics that the record shows. It is no "
+        f"finding: at no single lag does the input explain more than {share:.2g} % of the residuals' variance"
+    )
+    were_delays_tried = isinstance(identification.structure, OutputError | ContinuousPoles)
+    if were_delays_tried and identification.discrete.stable:
+        return (
+            f"{small}, and no other delay of the model would raise the fit by more than "
+            f"{NOTED_LOST_PERCENT:g} %."
+        )
+    return f"{small}. Other delays were not tried for this model."
 
 
 def _feedback_text(correlation: Correlation) -> str:

@@ -94,6 +94,16 @@ def write_identification_report(
     path.write_text(render_identification(identification, plant, table), encoding="utf-8")
 
 
+def _rest_note(identification: Identification) -> str:
+    """Return what the sentence "the model explains them" is limited by; empty if by nothing."""
+    if identification.residuals.from_input.passed:
+        return ""
+    return (
+        " except for a correlation of the residuals with earlier inputs, whose size the figure of the "
+        "residuals states"
+    )
+
+
 def render_identification(
     identification: Identification, plant: Plant, table: OrderTable | None = None
 ) -> str:
@@ -114,6 +124,7 @@ def render_identification(
         dead_time=f"{1000.0 * identification.dead_time_s:.4g} ms",
         delay_note=_delay_note(identification.contains_delay_samples),
         findings=[_finding_text(finding) for finding in identification.findings],
+        rest_note=_rest_note(identification),
         output_figures=output_figures(identification.validation, unit),
         records=_record_rows(identification),
         properties=_property_rows(known, unit),

@@ -39,3 +39,11 @@ def doubtful(name: str = "record") -> Identification:
     return identify(
         u, y + 0.08 * np.linspace(0.0, 1.0, len(y)) ** 2, SAMPLE_TIME_S, structure="OE(2,2,1)", name=name
     )
+
+
+@cache
+def with_small_correlation(structure: str = "OE(2,2,1)") -> Identification:
+    """Return a good model whose residuals are correlated with the input: a delay of half a sample is lost."""
+    u, y = record(6000, noise=1e-4)
+    y = 0.5 * (y + np.concatenate([[0.0], y[:-1]]))
+    return identify(u, y, SAMPLE_TIME_S, structure=structure)

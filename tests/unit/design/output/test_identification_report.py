@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.drawn_curves import drawn_curves
-from support.identified import doubtful, identified
+from support.identified import doubtful, identified, with_small_correlation
 
 from design.identification.findings import Finding, Kind, Severity
 from design.identification.identify import Identification
@@ -104,6 +104,36 @@ def test_the_verdict_states_the_fit_and_that_nothing_speaks_against_the_model() 
     fit = identified().fit_percent
     assert f"The model follows data that were not fitted to {fit:.2f} %. There is no warning" in text
     assert "Nothing. The records excite the axis" in text
+
+
+@pytest.mark.parametrize(
+    ("structure", "reason"),
+    [
+        ("OE(2,2,1)", "no other delay of the model would raise the fit by more than 1 %"),
+        ("ARX(2,2,1)", "Other delays were not tried for this model"),
+    ],
+)
+def test_a_correlation_that_is_no_finding_is_explained_and_the_findings_mention_it(
+    structure: str, reason: str
+) -> None:
+    identification = replace(with_small_correlation(structure), findings=())
+    assert not identification.residuals.from_input.passed
+    text = text_of(html_of(identification))
+    largest = float(np.max(identification.residuals.from_input.values**2))
+    assert f"explain more than {100.0 * largest:.2g} % of the residuals' variance" in text
+    assert reason in text
+    assert "explains them except for a correlation of the residuals with earlier inputs" in text
+
+
+def test_a_correlation_that_is_a_finding_refers_to_it() -> None:
+    note = Finding(Kind.NOT_EXPLAINED, Severity.NOTE, "r", "y", 0.0, 0.01, "", "it depends", "do that")
+    text = text_of(html_of(replace(with_small_correlation(), findings=(note,))))
+    assert "the model lacks dynamics that the record shows; see the finding." in text
+
+
+def test_without_a_correlation_the_findings_mention_none() -> None:
+    assert identified().residuals.from_input.passed
+    assert "and the model explains them." in text_of(html_of(identified()))
 
 
 def test_every_finding_is_shown_with_signal_figure_and_remedy_warnings_first() -> None:
