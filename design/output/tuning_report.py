@@ -20,6 +20,7 @@ from design.output.terminal import print_wrapped
 from design.output.tuning_figures import step_figure
 from design.output.tuning_results import (
     LABELS,
+    MEASURED_ERROR_ALLOWANCE,
     Condition,
     MeasuredReading,
     Model,
@@ -36,6 +37,12 @@ _GOOD, _BAD, _SOFT = "good", "bad", "soft"
 _STYLES = {"GOOD": "well", "CAUTION": "caution", "BAD": ""}
 """Style of a statement by its outcome; without one it is red."""
 _OUTCOME_STYLES = {Outcome.GOOD: "green", Outcome.CAUTION: "yellow", Outcome.BAD: "red"}
+_NOT_JUDGED_NOTE = (
+    "* not judged: eq. (9) limits crossover and low-frequency gain of the shaped plant, not of the loop with "
+    "the designed controller; and a measured steady-state error contains friction, so that one over the "
+    f"limit by at most {value_text('error', MEASURED_ERROR_ALLOWANCE)} of the step is neither met nor missed"
+)
+"""Explanation of the values that are marked as not judged."""
 _TERMINAL_STYLES = {_GOOD: "green", _BAD: "red", _SOFT: "dim"}
 
 
@@ -109,6 +116,7 @@ def render_tuning(tuning: Tuning, directory: Path) -> str:
         models=[_model_row(model, directory) for model in tuning.models],
         measured_names=[verified.condition.name for verified in tuning.verified],
         specifications=_specification_rows(tuning),
+        not_judged_note=_NOT_JUDGED_NOTE,
         figures=[step_figure(tuning, verified) for verified in tuning.verified],
         gaps=_gap_rows(tuning),
         structure=job.structure,
@@ -136,6 +144,8 @@ def print_tuning(console: Console, tuning: Tuning) -> None:
                 *(Text(cell.text, _TERMINAL_STYLES.get(cell.style, "")) for cell in cells),
             )
     console.print(table)
+    if any(cell.text.endswith("*") for row in rows for cell in row.cells):
+        print_wrapped(console, _NOT_JUDGED_NOTE, "dim")
     for guarantee in tuning.design.guarantees:
         relation = "below" if guarantee.guaranteed else "not below"
         print_wrapped(
@@ -190,13 +200,13 @@ def _measured_cell(verified: Verified, reading: MeasuredReading | None) -> _Cell
     label = f"measured, {verified.condition.name}"
     if reading is None:
         return _Cell(label, "–", _SOFT)
-    return _cell(label, reading.quantity, reading.value, reading.met, is_judged=True)
+    return _cell(label, reading.quantity, reading.value, reading.met, not reading.uses_allowance)
 
 
 def _cell(label: str, quantity: str, value: float, met: bool, is_judged: bool) -> _Cell:
     text = value_text(quantity, value)
     if not is_judged:
-        return _Cell(label, text, _SOFT)
+        return _Cell(label, f"{text} *", _SOFT)
     return _Cell(label, f"{text} {'✓' if met else '✗'}", _GOOD if met else _BAD)
 
 
