@@ -6,9 +6,16 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from hil.recording.reader import Recording
-from hil.views.promises import Outcome, Promise
+from hil.views.promises import LABELS, Outcome, Promise
 from hil.views.report_tables import limit_text, value_text
 from hil.views.summary import Summary, losses
+
+SLOWED_BY_FRICTION = frozenset({LABELS["settling_s"], LABELS["rise_s"]})
+"""Quantities, in words, that dry friction makes longer than those of the linear plant."""
+FRICTION_HINT = (
+    " The linear plant has no dry friction. In an axis that has it, it is the usual cause of a longer time; "
+    "a design with a smaller limit leaves room for it."
+)
 
 
 class Statement(NamedTuple):
@@ -52,10 +59,11 @@ def _kept(kept: list[Promise]) -> Iterator[Statement]:
     if missed:
         texts = [
             f"{p.axis}: {p.quantity} {value_text(p.measured, p.unit)}, which must be {limit_text(p)} and was "
-            f"predicted as {value_text(p.predicted, p.unit)}"
+            f"predicted as {value_text(p.predicted, p.unit)} for the linear plant"
             for p in missed
         ]
-        yield Statement("", f"Specifications not met: {'; '.join(texts)}.")
+        hint = FRICTION_HINT if any(p.quantity in SLOWED_BY_FRICTION for p in missed) else ""
+        yield Statement("", f"Specifications not met: {'; '.join(texts)}.{hint}")
     elif judged:
         yield Statement("well", f"All {len(judged)} specifications that this run shows are met.")
     elif kept:

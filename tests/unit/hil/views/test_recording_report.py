@@ -137,7 +137,9 @@ def test_the_verdict_compares_with_what_the_controller_file_promises(page: str) 
     text = text_of(page)
     assert "The run was completed: 4.5 s under control." in text
     assert "Specifications not met: vertical: 2 % settling time 0.784 s, which must be ≤ 0.6 s " in text
-    assert "and was predicted as 0.5 s." in text
+    assert "and was predicted as 0.5 s for the linear plant." in text
+    assert "The linear plant has no dry friction. In an axis that has it, it is the usual cause" in text
+    assert "Predictions are those of the linear plant." in text
     assert "vertical overshoot ≤ 5 % 1 % 0 % met" in text
     assert "vertical 2 % settling time ≤ 0.6 s 0.5 s 0.784 s not met" in text
     assert re.search(r"vertical steady-state error over the step's size ≤ 0\.1 % 0 % \S+ % not judged", text)
