@@ -25,7 +25,7 @@ from hil.cli.run_parts import (
 from hil.core.errors import LinkError
 from hil.core.gateway import Gateway
 from hil.core.output import LogEntry, Severity
-from hil.recording.recorder import FAULTS_BEGUN, Recorder, RecorderReport
+from hil.recording.recorder import FAULT_SOURCE, FAULTS_BEGUN, Recorder, RecorderReport
 from hil.shells.run_plan import RunPlan
 from hil.shells.run_setup import RunSetup
 from hil.shells.session import Observer, Session
@@ -146,7 +146,7 @@ def run_lockstep(
 
 def _note_fault(session: Session, text: str) -> None:
     """Log that a simulated fault begins."""
-    session.note(LogEntry(Severity.WARNING, "fault", f"{text} begins (simulated)"))
+    session.note(LogEntry(Severity.WARNING, FAULT_SOURCE, f"{text} begins"))
 
 
 def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dict[str, float]) -> None:

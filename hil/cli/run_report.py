@@ -13,6 +13,7 @@ from hil.cli.record_path import figure_of, picture_of
 from hil.core.errors import HilError
 from hil.core.output import Severity
 from hil.recording.reader import Recording
+from hil.recording.recorder import FAULT_SOURCE
 from hil.shells.run_plan import Ending
 from hil.views.summary import summarise
 
@@ -31,7 +32,7 @@ class _Recorded(NamedTuple):
 
     messages: int = 0
     last_warning: str = ""
-    """Last warning or error in the log."""
+    """Last warning or error in the log, without simulated faults."""
     ending: dict[str, str] = {}  # noqa: RUF012  # never changed
     traceback: str = ""
 
@@ -100,7 +101,11 @@ def _draw_plots(console: Console, recording: Recording, scenario: Scenario | Non
 
 
 def _last_warning(recording: Recording) -> str:
-    entries = [entry for _, entry in recording.log() if entry.severity >= Severity.WARNING]
+    entries = [
+        entry
+        for _, entry in recording.log()
+        if entry.severity >= Severity.WARNING and entry.source != FAULT_SOURCE
+    ]
     return f"{entries[-1].source}: {entries[-1].text}" if entries else ""
 
 

@@ -39,7 +39,7 @@ from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, l
 if TYPE_CHECKING:
     from hil.recording.direct_writer import DirectWriter
 
-__all__ = ["ARM_EVENTS", "FAULTS_BEGUN", "Recorder", "RecorderReport", "RunHeader"]
+__all__ = ["ARM_EVENTS", "FAULTS_BEGUN", "FAULT_SOURCE", "Recorder", "RecorderReport", "RunHeader"]
 
 ARM_EVENTS = "arm events"
 """Name of the metadata with the planned events of a simulated arm.
@@ -47,6 +47,8 @@ ARM_EVENTS = "arm events"
 The keys are the events as in ``--event``, the values are their times in seconds from the first sample.
 """
 
+FAULT_SOURCE = "simulated fault"
+"""Source of the log entries that simulated faults cause by themselves."""
 FAULTS_BEGUN = "faults begun"
 """Name of the metadata with the faults of a simulated rig: instant to the faults that began then.
 

@@ -245,11 +245,9 @@ class TestCommand:
         begins = [
             (e.now_ns, e.entry.text)
             for e in recording.entries()
-            if isinstance(e, Logged) and e.entry.source == "fault"
+            if isinstance(e, Logged) and e.entry.source == "simulated fault"
         ]
-        assert begins == [
-            (pytest.approx(1_000_000_000, abs=200_000_000), "error-frames:3@1 begins (simulated)")
-        ]
+        assert begins == [(pytest.approx(1_000_000_000, abs=200_000_000), "error-frames:3@1 begins")]
         assert main(["replay", str(recording.path)]) == 0
 
     @pytest.mark.parametrize("bit_rate", ["9999", "1000001", '"fast"'])
