@@ -28,12 +28,15 @@ LISTED_CASES: Final = 50
 
 _TEMPLATE: Final = """\
 <!doctype html>
-<html lang="en"><meta charset="utf-8"><title>{{ campaign.title }}</title>
+<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>{{ campaign.title }}</title>
 <style>
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em; color: #222 }
 table { border-collapse: collapse; margin: 1em 0 } td, th { padding: .2em .8em; text-align: right }
 td:first-child, th:first-child, td.text { text-align: left } tr:nth-child(even) { background: #f4f4f4 }
-img { max-width: 100% } code { background: #eee; padding: .1em .3em } .fail { color: #b40000 }
+img { max-width: 100% } code { background: #eee; padding: .1em .3em; overflow-wrap: anywhere }
+.fail { color: #b40000 } .wide { overflow-x: auto } h3, p { overflow-wrap: anywhere }
+td.text { min-width: 16em }
 </style>
 <h1>{{ campaign.title }}</h1>
 <p>{{ summary.cases }} cases of {{ campaign.duration_s }} s of control, seed {{ campaign.seed }}:
@@ -48,23 +51,25 @@ Valve commands exceeded a limit of the rig file in {{ summary.limits_broken }} c
 <p><a href="cases/case-{{ result.number }}.mcap"><img src="cases/case-{{ result.number }}.png"
 alt="setpoint, position and valve voltage of case {{ result.number }}"></a></p>
 {% endfor %}
-<table><tr><th>case</th><th>fault</th><th>verdict</th><th>state</th><th>periods to centre</th>
+<div class="wide"><table>
+<tr><th>case</th><th>fault</th><th>verdict</th><th>state</th><th>periods to centre</th>
 <th>largest error</th><th>problem</th></tr>
 {% for result in worst %}
 <tr><td>{{ result.number }}</td><td class="text">{{ result.fault }}</td><td>{{ result.verdict }}</td>
 <td>{{ result.state }}</td>
 <td>{{ "" if result.centred_after_periods is none else result.centred_after_periods }}</td>
 <td>{{ "%.1f" % (100 * result.max_error) }} %</td><td class="text">{{ result.problem }}</td></tr>
-{% endfor %}</table>
+{% endfor %}</table></div>
 <h2>Every fault</h2>
-<table><tr><th>fault</th><th>cases</th><th>failed</th><th>in fault</th><th>periods to centre</th>
+<div class="wide"><table>
+<tr><th>fault</th><th>cases</th><th>failed</th><th>in fault</th><th>periods to centre</th>
 <th>not centred</th><th>largest error</th></tr>
 {% for fault, found in summary.by_fault.items() %}
 <tr><td>{{ fault }}</td><td>{{ found.cases }}</td><td>{{ found.failed or "" }}</td>
 <td>{{ found.ended_in_fault }}</td>
 <td>{% if found.max_periods is not none %}at most {{ found.max_periods }}{% endif %}</td>
 <td>{{ found.never_centred or "" }}</td><td>{{ "%.1f" % (100 * found.max_error) }} %</td></tr>
-{% endfor %}</table>
+{% endfor %}</table></div>
 </html>
 """
 

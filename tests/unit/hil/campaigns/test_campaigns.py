@@ -261,6 +261,9 @@ def test_failed_cases_are_named_with_the_command_that_runs_them_again(
     page = Path("campaigns/bad/report.html").read_text()
     assert page.index("Case 0:") < page.index("Case 2:"), "failed cases come first"
     assert "hil campaign bad.toml --case 0 --record case-0.mcap" in page
+    assert page.count('<div class="wide"><table>') == page.count("<table>") == 2, (
+        "a narrow page does not scroll"
+    )
     assert {path.name for path in Path("campaigns/bad/cases").iterdir()} == {
         f"case-{number}.{suffix}" for number in (0, 2) for suffix in ("mcap", "png")
     }
