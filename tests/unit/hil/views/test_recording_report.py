@@ -133,6 +133,13 @@ def test_the_plots_hold_the_signals_of_every_axis(path: Path, page: str) -> None
         assert data_of(page)["panels"][3 * place]["minSpan"] == MIN_SPAN[unit]
 
 
+def test_a_plot_narrower_than_its_margins_has_no_negative_width(page: str) -> None:
+    """A browser reports a negative width of a rectangle as an error."""
+    (function,) = re.findall(r"const at = .*", page)
+    assert "Math.max(svg.clientWidth - LEFT - RIGHT, 1)" in function
+    assert function.count("clientWidth") == 1
+
+
 def test_the_verdict_compares_with_what_the_controller_file_promises(page: str) -> None:
     text = text_of(page)
     assert "The run was completed: 4.5 s under control." in text
