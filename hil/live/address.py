@@ -89,6 +89,16 @@ def port_number(text: str) -> int:
     return int(text)
 
 
+def _foxglove_port(text: str) -> int:
+    """Return the port of ``--foxglove``. The error for a file says where a recording is opened."""
+    if not text.lstrip("-").isdigit():
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a port. A recording needs no server: open it in Foxglove directly. A daemon is "
+            f"served on a port from 0 (a free port) to {MAX_PORT}"
+        )
+    return port_number(text)
+
+
 def add_address_options(command: argparse._ActionsContainer) -> None:
     """Add the options ``--port`` and ``--host`` of the page."""
     command.add_argument(
@@ -102,7 +112,7 @@ def add_address_options(command: argparse._ActionsContainer) -> None:
     )
     command.add_argument(
         "--foxglove",
-        type=port_number,
+        type=_foxglove_port,
         nargs="?",
         const=FOXGLOVE_PORT,
         metavar="PORT",
