@@ -63,7 +63,7 @@ def main(argv: list[str]) -> int:
 
     from hil.recording import open_recording
     from hil.views.comparison import compare
-    from hil.views.comparison_table import MAX_WIDTH, render
+    from hil.views.comparison_table import MAX_WIDTH, render, signal_name
     from hil.views.comparison_windows import Event
 
     event = None if options.align is None else Event[EVENTS[options.align]]
@@ -76,5 +76,5 @@ def main(argv: list[str]) -> int:
         missing = row.only_first + row.only_second
         if missing:
             figure = f"only one run has a value in {missing} of {found.samples} periods"
-        sys.stdout.write(f"exceeded   {row.axis} {row.signal}: {figure}\n")
+        sys.stdout.write(f"exceeded   {row.axis} {signal_name(row)}: {figure}\n")
     return 1 if exceeding else 0

@@ -50,8 +50,13 @@ def render(comparison: Comparison) -> RenderableType:
     return Group(*(Text(line) for line in lines), *settings, table, *missing)
 
 
+def signal_name(row: SignalDifference) -> str:
+    """Return the name of a signal as people read it and as ``--tolerance`` takes it."""
+    return _NAMES.get(row.signal, row.signal)
+
+
 def _label(row: SignalDifference) -> str:
-    return f"{_NAMES.get(row.signal, row.signal)} ({row.unit})"
+    return f"{signal_name(row)} ({row.unit})"
 
 
 def _figures(row: SignalDifference) -> tuple[str, ...]:
@@ -70,7 +75,7 @@ def _missing(comparison: Comparison) -> list[str]:
     for which in ("first", "second"):
         counts = {row: getattr(row, f"only_{which}") for row in comparison.signals}
         lines += [
-            f"only the {which} run has {row.axis} {_NAMES.get(row.signal, row.signal)} in {count} of "
+            f"only the {which} run has {row.axis} {signal_name(row)} in {count} of "
             f"{comparison.samples} periods"
             for row, count in counts.items()
             if count

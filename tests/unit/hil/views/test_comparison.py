@@ -289,6 +289,15 @@ class TestCommand:
         assert command.main([*files, *options]) == status
         assert ("exceeded   vertical position: 0.004 m at 2.00" in capsys.readouterr().out) == bool(status)
 
+    def test_an_exceeded_signal_has_the_name_that_the_option_takes(
+        self, run: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        files = [str(run("a.mcap", bumped(2.0, 0.004))), str(run("b.mcap"))]
+        assert command.main([*files, "--tolerance", "valve=0.01"]) == 1
+        printed = capsys.readouterr().out
+        assert "exceeded   rotation valve: 0.04" in printed
+        assert "command_v" not in printed
+
     @pytest.mark.parametrize("text", ["pos=1", "position=x", "-1", "nan", ""])
     def test_a_wrong_tolerance_is_refused(self, text: str, capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit) as ended:
