@@ -18,6 +18,10 @@ FRICTION_HINT = (
 )
 
 
+UNKNOWN_CAUSE = "an unknown cause; the daemon, or the process of the run, was killed or crashed"
+"""Ending of a recording that its recorder closed although the run did not say why it ended."""
+
+
 class Statement(NamedTuple):
     """A sentence of the verdict; ``style`` is a class of the style sheet: well, caution, or empty for bad."""
 
@@ -41,7 +45,8 @@ def _endings(summary: Summary, recording: Recording) -> Iterator[Statement]:
             "caution", f"The run was interrupted after {summary.controlled_s:.1f} s under control."
         )
     else:
-        yield Statement("", f"The run ended by {summary.ending or 'an unknown cause'}{fault and ': '}{fault}")
+        ending = summary.ending or UNKNOWN_CAUSE
+        yield Statement("", f"The run ended by {ending}{fault and ': '}{fault}")
     lost = losses(summary)
     if lost:
         yield Statement("", f"Lost or rejected: {', '.join(lost)}.")

@@ -186,6 +186,10 @@ def test_frames_are_counted_by_kind(path: Path, page: str) -> None:
     [
         ("interrupted", "The run was interrupted after"),
         ("fault", "The run ended by fault: adc: silent"),
+        (
+            "",
+            "The run ended by an unknown cause; the daemon, or the process of the run, was killed or crashed",
+        ),
         (None, "The recording was cut off."),
     ],
 )
