@@ -25,7 +25,6 @@ def replay_with_controller(path: Path, options: argparse.Namespace) -> int:
     output = options.output or path.with_name(f"{path.stem}-with-controller.png")
     if output.suffix.lower() != ".png":
         raise DocumentError(f"-o {output}: a plot's name ends in .png, such as {output}.png")
-    check_output(output, force=options.force)
     chosen = _by_axis(options.with_controller)
     recording = open_recording(path)
     warn_if_cut_off(recording)
@@ -33,8 +32,10 @@ def replay_with_controller(path: Path, options: argparse.Namespace) -> int:
         raise RecordingError(
             f"{path}: was imported from a bus log, which has no setpoints, so no controller can be run on it"
         )
+    controllers = {axis: load_controller(name) for axis, name in chosen.items()}
+    check_output(output, force=options.force)
     comparisons = [
-        compare(recording, axis, load_controller(name), f"--with-controller {axis}={name}")
+        compare(recording, axis, controllers[axis], f"--with-controller {axis}={name}")
         for axis, name in chosen.items()
     ]
     from hil.views.controller_plot import plot_commands

@@ -269,6 +269,12 @@ def test_another_controller_is_drawn_beside_the_recorded_one(
     assert Path("run-with-controller.png").read_bytes().startswith(b"\x89PNG")
     assert main([*command, "rotation=rotation"]) == 2
     assert "exists already" in capsys.readouterr().err
+    assert main([*command, "rotation=none.json"]) == 2
+    assert "there is no file none.json" in capsys.readouterr().err, "the inputs are checked first"
+    Path("picture.mcap").write_bytes(Path("run-with-controller.png").read_bytes())
+    Path("picture-with-controller.png").write_bytes(b"")
+    assert main(["replay", "picture.mcap", "--with-controller", "vertical=hls"]) == 2
+    assert "exists already" not in capsys.readouterr().err
 
 
 def test_a_recording_without_the_rig_is_replayed_only_as_boards(
