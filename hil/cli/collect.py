@@ -80,6 +80,11 @@ FIELDS = {
 """Option of the command to field of the excitation's document."""
 DEFAULTS = {"amplitude": 0.4, "duration_s": 60.0}
 """±0.4 V: less drowns in the friction of the simulated arm, more reaches its stops."""
+SECOND_RECORD = "SECOND.mcap"
+SECOND_RECORD_NOTE = (
+    "a second recording of hil collect, such as with another --seed; without --validate, the last third of "
+    "this one is kept from the fit"
+)
 MODES = {"valve": "open loop", "controller": "controller output", "setpoint": "setpoint"}
 MAX_PAUSE_FACTOR = 5.0
 """The fence may lengthen an experiment to this many times its duration before the run is ended."""
@@ -172,6 +177,8 @@ def main(argv: list[str]) -> int:
     experiment = _experiment(options, rig)
     setup = _setup(options, rig, experiment)
     bus = chosen_bus(options, setup)
+    if not options.dry_run:
+        recording_path(options.output, experiment.duration_s(rig.loop.period_s), has_figure=False)
     period_s = rig.loop.period_s
     unit = rig.axes[experiment.axis].unit if experiment.mode == "setpoint" else "V"
     crossover = loop_crossover(setup.controllers[experiment.axis])
@@ -197,7 +204,11 @@ def main(argv: list[str]) -> int:
     if plan.ending is not Ending.COMPLETED or not collected.is_complete:
         console.print(f"The excitation was not given completely: {_reason(plan, collected)}.", style="red")
         return 1
-    console.print(f"next        hil identify {shlex.quote(str(report.path))} --axis {experiment.axis}")
+    console.print(
+        f"next        hil identify {shlex.quote(str(report.path))} --axis {experiment.axis} "
+        f"--validate {SECOND_RECORD}"
+    )
+    console.print(f"            {SECOND_RECORD}: {SECOND_RECORD_NOTE}")
     return 1 if report.failure else 0
 
 

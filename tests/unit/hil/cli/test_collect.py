@@ -12,7 +12,7 @@ import pytest
 
 from hil.cli import launch
 from hil.cli.collect import Collected, _gaps, _samples_text, main
-from hil.core.errors import DocumentError
+from hil.core.errors import DocumentError, RecordingError
 from hil.shells.run_plan import StopRequest
 
 COLLECTED = Collected(
@@ -66,6 +66,27 @@ def test_an_interrupted_experiment_ends_with_status_130(
     printed = capsys.readouterr().out
     assert "Interrupted: the excitation was not given completely." in printed
     assert "hil identify" not in printed
+
+
+def test_an_existing_recording_is_refused_before_anything_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "data.mcap"
+    path.write_bytes(b"mine")
+    with pytest.raises(RecordingError, match="exists already"):
+        main(["--axis", "vertical", "--duration", "2", "-o", str(path)])
+    assert capsys.readouterr().out == ""
+    assert path.read_bytes() == b"mine"
+
+
+def test_the_next_command_validates_with_a_second_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "data.mcap"
+    assert main(["--axis", "vertical", "--lockstep", "--duration", "2", "-o", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert f"next        hil identify {path} --axis vertical --validate SECOND.mcap\n" in printed
+    assert "SECOND.mcap: a second recording of hil collect" in printed
 
 
 def test_missed_periods_count_as_periods_without_a_good_sample() -> None:
