@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +22,8 @@ if TYPE_CHECKING:
     from hil.campaigns.result_files import ResultFolder
     from hil.campaigns.summary import CampaignSummary
 
+PLAIN_INTERVAL_S = 10.0
+"""Shortest time between two lines of progress if the output is no terminal."""
 DESCRIPTION = """\
 Run the cases of a campaign in simulated time: each fault at each moment, with each set-up and draw. A case
 passes if the reaction is the expected one and no valve command exceeds a limit. A campaign that was
@@ -83,10 +88,36 @@ def _run_one(campaign: Campaign, number: int, record: Path | None) -> int:
         raise HilError(f"--case {number}: the campaign has the cases 0 to {case_count(campaign) - 1}")
     result = run_case(prepare(campaign), number, record)
     for name in result.__struct_fields__:
-        print(f"{name:22} {getattr(result, name)}")
+        print(f"{name:22} {_value_text(getattr(result, name))}")
     if record is not None:
         print(f"{'recording':22} {record}")
     return 0 if result.verdict == PASSED else 1
+
+
+def _value_text(value: object) -> str:
+    """Return a value of a case's result as people write it."""
+    if value in (None, "", "{}"):
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+class _PlainProgress:
+    """Prints one line to stderr every PLAIN_INTERVAL_S, for output that is no terminal."""
+
+    def __init__(self, total: int, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._total = total
+        self._clock_s = clock_s
+        self._printed_s = clock_s()
+
+    def update(self, finished: int) -> None:
+        """Print how many cases are finished if the last line is old."""
+        now_s = self._clock_s()
+        if now_s - self._printed_s >= PLAIN_INTERVAL_S:
+            self._printed_s = now_s
+            sys.stderr.write(f"{finished} of {self._total} cases are finished\n")
+            sys.stderr.flush()
 
 
 def _run_all(campaign: Campaign, text: str, path: Path, options: argparse.Namespace) -> int:
@@ -129,11 +160,15 @@ def _run_remaining(prepared: PreparedCampaign, folder: ResultFolder, options: ar
         groups = run_cases_on_dask(prepared, folder.finished, options.dask)
     else:
         groups = run_cases(prepared, folder.finished, options.workers or default_workers())
-    task = progress.add_task("cases", total=case_count(prepared.campaign), completed=folder.finished)
+    total = case_count(prepared.campaign)
+    task = progress.add_task("cases", total=total, completed=folder.finished)
+    plain = None if progress.console.is_terminal else _PlainProgress(total)
     with progress:
         for results in groups:
             folder.append(results)
             progress.update(task, completed=folder.finished)
+            if plain is not None:
+                plain.update(folder.finished)
 
 
 def _print_summary(console: Console, campaign: Campaign, summary: CampaignSummary, name: str) -> None:

@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import pickle
+import re
 from pathlib import Path
 from unittest import mock
 
@@ -21,6 +22,7 @@ from hil.campaigns.prepared import prepare
 from hil.campaigns.result_files import ResultFolder
 from hil.campaigns.summary import SHOWN_FAILURES, summarise_campaign
 from hil.cli import main
+from hil.cli.campaign import _PlainProgress
 from hil.core.errors import DocumentError, HilError
 from hil.core.frames import Frame
 from hil.recording import open_recording
@@ -243,6 +245,16 @@ def test_fewer_draws_than_the_results_show_only_their_own_cases(
     assert "16 cases" in capfd.readouterr().out
 
 
+def test_without_a_terminal_a_line_of_progress_is_printed_every_ten_seconds(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    times = iter([0.0, 4.0, 10.0, 19.0, 20.5])
+    progress = _PlainProgress(100, lambda: next(times))
+    for finished in (8, 16, 24, 32):
+        progress.update(finished)
+    assert capsys.readouterr().err == "16 of 100 cases are finished\n32 of 100 cases are finished\n"
+
+
 def test_failed_cases_are_named_with_the_command_that_runs_them_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -268,7 +280,12 @@ def test_failed_cases_are_named_with_the_command_that_runs_them_again(
         f"case-{number}.{suffix}" for number in (0, 2) for suffix in ("mcap", "png")
     }
     assert main(["campaign", "bad.toml", "--case", "0", "--record", "case-0.mcap"]) == 1
-    assert "centred_after_periods  5" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "centred_after_periods  5" in printed
+    assert "limits_held            yes" in printed
+    assert "overshoot              none" in printed
+    assert re.search(r"max_error +0\.\d{1,6}\n", printed), "four significant digits"
+    assert not re.search(r"None|True|False| $", printed, re.MULTILINE)
     assert main(["replay", "case-0.mcap"]) == 0
     assert main(["campaign", "bad.toml", "--case", "1"]) == 0
     assert main(["campaign", "bad.toml", "--case", "4"]) == 2
