@@ -14,6 +14,7 @@ from pathlib import Path
 from select import select
 
 from hil.cli.calibrate_jogged import JOG_V, JoggedEnds, armed, check_daemon, keys_of_terminal
+from hil.cli.daemon_rig import check_channels, check_settings
 from hil.cli.monitor import BIT_RATE, Monitor, bus_to_hear
 from hil.cli.operate import add_socket_option
 from hil.core.calibration import (
@@ -231,6 +232,7 @@ def _potentiometer(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str
 def _jogged_potentiometer(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float], str]:
     with connect(options.socket) as client:
         check_daemon(client.status(), options.axis)
+        check_channels(client, options.rig, rig, options.axis)
         _confirm(options, f"to its ends, by keys that you hold, with {options.jog:g} V")
         with keys_of_terminal() as pressed, armed(client):
             ends = JoggedEnds(client, rig, options.axis, options.jog, pressed)
@@ -325,6 +327,7 @@ def _valve(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float]
             raise CalibrationError(
                 f"{options.axis}: the daemon is in state {state}; bring it to ready or armed (hil status)"
             )
+        check_settings(client, options.rig, options.axis)
         _confirm(options, f"to and fro, with up to {settings.operator_limits.jog_max_v:g} V")
         axis = JoggedAxis(client, options.axis)
         with armed(client):

@@ -32,6 +32,7 @@ from hil.operation.protocol import (
     RecordNewCall,
     RecordStopCall,
     ResetCall,
+    RigCall,
     SetpointCall,
     ShutdownCall,
     StartCall,
@@ -97,6 +98,10 @@ class Client:
         if status is None:
             raise OperationError(f"{self.path}: the daemon's answer has no status; update the daemon")
         return status
+
+    def rig_text(self) -> str:
+        """Return the text of the rig file that the daemon uses, also if the file was changed since."""
+        return self._ask(RigCall(id=self._next_id())).text
 
     def watch(self, interval_s: float = 0.2) -> Iterator[Status]:
         """Yield the status every ``interval_s`` seconds, with the log entries since the one before.

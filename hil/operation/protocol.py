@@ -16,6 +16,8 @@ with one line that repeats the request's ``id``::
 request           keys besides ``id``            effect
 ================  =============================  ==========================================================
 ``status``                                       the answer has the key ``status``, see :class:`Status`
+``rig``                                          the answer's ``text`` is that of the rig file that the daemon
+                                                 uses
 ``watch``         ``interval_s`` (0.05 to 60)    from now on, the connection only sends :class:`Update` lines
 ``arm``           ``override`` (optional)        ready -> armed, unless a check fails that is not in the list
                                                  ``override``
@@ -77,6 +79,10 @@ class Call(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="r
 
 class StatusCall(Call, frozen=True, tag="status"):
     """Ask for the status."""
+
+
+class RigCall(Call, frozen=True, tag="rig"):
+    """Ask for the text of the rig file that the daemon uses."""
 
 
 class WatchCall(Call, frozen=True, tag="watch"):
@@ -172,7 +178,7 @@ LoopCall = (
     | ShutdownCall
 )
 """Requests that the loop takes. The socket process answers the others itself."""
-AnyCall = StatusCall | WatchCall | LoopCall
+AnyCall = StatusCall | RigCall | WatchCall | LoopCall
 """Every request."""
 
 

@@ -46,6 +46,7 @@ from hil.operation.protocol import (
     JogCall,
     LogLine,
     LoopCall,
+    RigCall,
     SetpointCall,
     Status,
     StatusCall,
@@ -227,11 +228,13 @@ class Server:
                 return
             await _write(writer, await self._answer(call, asked_by))
 
-    async def _answer(self, call: StatusCall | LoopCall, asked_by: str) -> Answer:
+    async def _answer(self, call: StatusCall | RigCall | LoopCall, asked_by: str) -> Answer:
         if isinstance(call, StatusCall):
             if self._status is None:
                 return Answer(id=call.id, accepted=False, text="the daemon has not begun its first period")
             return Answer(id=call.id, accepted=True, text=self._status.state, status=self._status)
+        if isinstance(call, RigCall):
+            return Answer(id=call.id, accepted=True, text=self._facts.rig)
         try:
             prepared = None
             if isinstance(call, EventCall | ControllerCall | SetpointCall):

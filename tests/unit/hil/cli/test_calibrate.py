@@ -14,6 +14,7 @@ from support.gateway_bench import EXAMPLE_RIG
 
 from hil.cli import calibrate as command
 from hil.core.calibration import CalibrationError
+from hil.core.calibration_rig import calibration_text
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
 from hil.core.rig import read_rig
@@ -168,6 +169,7 @@ class Daemon:
     def __init__(self) -> None:
         self.state = "ready"
         self.recording: str | None = "runs/a.mcap"
+        self.rig = EXAMPLE_RIG
         self.requests: list[str] = []
         self.gives_positions = True
         self._now_s = self._position = self._speed = 0.0
@@ -188,6 +190,9 @@ class Daemon:
             time_ns=round(self._now_s * 1e9),
             axes=(SimpleNamespace(name="rotation", position=0.0), axis),
         )
+
+    def rig_text(self) -> str:
+        return self.rig
 
     def arm(self) -> None:
         self.requests.append("arm")
@@ -244,6 +249,29 @@ class TestValve:
         assert command.main(VALVE) == 1
         assert "the daemon is in a fault: adc: lost" in capsys.readouterr().err
         assert daemon.requests == ["arm", "disarm"]
+
+    def test_it_is_refused_after_a_calibration_without_a_restart_of_the_daemon(
+        self, daemon: Daemon, rig_file: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        arguments = [*VALVE, "--rig", str(rig_file), "--force"]
+        assert command.main(arguments) == 0
+        written = rig_file.read_text()
+        daemon.requests.clear()
+        assert command.main(arguments) == 1
+        assert "valve.centre_v is 5 in the daemon and 5.07 in the file" in capsys.readouterr().err
+        assert daemon.requests == []
+        assert rig_file.read_text() == written
+        daemon.rig, daemon.TRUE_CENTRE_V = written, 0.0
+        assert command.main(arguments) == 0
+        assert read_rig(rig_file.read_text(), "rig.toml").axes["vertical"].valve.centre_v == pytest.approx(
+            5.07
+        )
+
+    def test_a_daemon_that_calibrates_the_axis_fits_its_rig_file(
+        self, daemon: Daemon, rig_file: Path
+    ) -> None:
+        daemon.rig = calibration_text(EXAMPLE_RIG, "vertical", "rig.toml")
+        assert command.main([*VALVE, "--rig", str(rig_file), "--force"]) == 0
 
     def test_without_positions_it_ends(self, daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
         daemon.gives_positions = False

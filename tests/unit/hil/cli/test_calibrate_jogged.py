@@ -29,6 +29,7 @@ class MadeUpDaemon:
 
     def __init__(self, state: str = "ready") -> None:
         self.volts = 5.0
+        self.rig = EXAMPLE_RIG
         self.state = state
         self.fault: str | None = None
         self.refusal: str | None = None
@@ -58,6 +59,9 @@ class MadeUpDaemon:
         self.jogs.append((axis, offset_v, duration_s))
         self.volts = min(max(self.volts + (0.5 if offset_v > 0 else -0.5), LOW_V), HIGH_V)
         return "jog goes on"
+
+    def rig_text(self) -> str:
+        return self.rig
 
     def arm(self) -> str:
         self.asked.append("arm")
@@ -229,6 +233,10 @@ def test_the_command_writes_what_it_measured(
     assert (pot.position(LOW_V), pot.position(HIGH_V)) == pytest.approx((-0.15, 0.15), abs=1e-5)
     assert "moved by jogs, recording one.mcap" in new.read_text()
     assert {offset_v for _, offset_v, _ in daemon.jogs} == {0.3, -0.3}
+    daemon.rig = EXAMPLE_RIG.replace("channel = 1", "channel = 0").replace("channel = 3", "channel = 1")
+    daemon.rig = daemon.rig.replace("channel = 0", "channel = 3")
+    assert command.main([*arguments, "--rig", str(rig)]) == 1
+    assert "potentiometer.channel is 3 in the daemon and 1 in the file" in capsys.readouterr().err
     daemon.calibrated = None
     assert command.main([*arguments, "--rig", str(rig)]) == 1
     assert "hil daemon --calibrate vertical" in capsys.readouterr().err

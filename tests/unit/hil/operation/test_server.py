@@ -85,6 +85,7 @@ def test_the_client_sends_each_request(bench: Bench, tmp_path: Path) -> None:
         client.record_new()
         client.record_stop()
         assert client.status() == status()
+        assert client.rig_text() == FACTS.rig
     kinds = [type(asked.call).__struct_config__.tag for asked in loop.asked]
     assert kinds == [
         *("arm", "start", "stop", "disarm", "reset"),
