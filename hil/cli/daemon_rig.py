@@ -72,7 +72,8 @@ def _refuse_differences(daemon: dict[str, object], file: dict[str, object], sour
     raise CalibrationError(
         f"{axis}: the daemon does not use the settings of {source}: {key} is "
         f"{_shown(daemon.get(key))} in the daemon and {_shown(file.get(key))} in the file, so what is "
-        "measured would not fit the file; end the daemon with `hil shutdown`, and start it again with this rig file"
+        "measured would not fit the file; end the daemon with `hil shutdown`, and start it again with this "
+        "rig file"
     )
 
 

@@ -126,14 +126,15 @@ def _add_setpoint_arguments(parser: CommandParser) -> None:
 
 
 def _set_setpoints(client: Client, options: argparse.Namespace) -> str:
-    said = []
-    for axis, text in by_axis("", options.setpoints, "vertical=0.05").items():
-        try:
-            setpoint: float | str = float(text)
-        except ValueError:
-            setpoint = text
-        said.append(client.set_setpoint(axis, setpoint))
-    return "\n".join(said)
+    given = by_axis("", options.setpoints, "vertical=0.05")
+    return client.set_setpoints({axis: _number_or_text(text) for axis, text in given.items()})
+
+
+def _number_or_text(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _add_controller_arguments(parser: CommandParser) -> None:
@@ -299,8 +300,8 @@ SHUTDOWN = _simple(
 )
 SETPOINT = OperatorCommand(
     "setpoint",
-    "Change the setpoints of axes. In state running, an axis approaches its new setpoint within the limits "
-    "of the rig file.",
+    "Change the setpoints of axes, or of none of them if one is refused. In state running, an axis "
+    "approaches its new setpoint within the limits of the rig file.",
     _add_setpoint_arguments,
     _set_setpoints,
     "A number is a position in the axis' unit, m or rad. Other setpoints, whose time 0 is now:\n\n"

@@ -42,6 +42,7 @@ from hil.core.rejections import Rejections
 from hil.core.requests import ArmRequest, ControllerRequest, JogRequest, Reply, Request, SetpointRequest
 from hil.core.rig import Rig
 from hil.core.sample_guard import Accepted, Rejected, RejectionSeverity, SampleGuard
+from hil.core.setpoint_change import PreparedSetpoint
 from hil.core.setpoints import Setpoint
 from hil.core.wire import codec
 
@@ -205,6 +206,15 @@ class Gateway:
         """
         checked = self._protection.check(now_ns)
         return combine(checked, self._take_request(request, now_ns, prepared))
+
+    def refuse_setpoint(
+        self, request: SetpointRequest, prepared: PreparedSetpoint | None = None
+    ) -> Reply | None:
+        """Return why a setpoint would be refused now, or None. Nothing is changed.
+
+        With this, a shell gives the setpoints of several axes only if none is refused.
+        """
+        return self._requests.refuse_setpoint(request, prepared)
 
     def _take_request(self, request: Request, now_ns: int, prepared: Prepared | None) -> Output:
         match request:

@@ -61,13 +61,24 @@ class OperatorRequests:
         controller = prepared if isinstance(prepared, PreparedController) else None
         return answer(request.axis, self._change_controller(request, is_running, controller))
 
+    def refuse_setpoint(self, request: SetpointRequest, prepared: PreparedSetpoint | None) -> Reply | None:
+        """Return the refusal of a setpoint, or None if it can be given. Nothing is changed."""
+        refusal = self.refuse(request)
+        if refusal is not None:
+            return refusal.reply
+        try:
+            read_request(request, self._rig, prepared)
+        except SetpointError as error:
+            return _refused_setpoint(error)
+        return None
+
     def _change_setpoint(
         self, request: SetpointRequest, is_running: bool, prepared: PreparedSetpoint | None
     ) -> Reply:
         try:
             setpoint = read_request(request, self._rig, prepared)
         except SetpointError as error:
-            return Reply(False, f"setpoint refused: {error}")
+            return _refused_setpoint(error)
         self._loops.change_setpoint(request.axis, setpoint, is_running)
         axis = self._rig.axes[request.axis]
         limits, unit = axis.operator_limits, axis.unit
@@ -112,3 +123,7 @@ class OperatorRequests:
                 f"{matching.drift_v:+.4g} V with a time constant of {matching.time_constant_s:.3g} s, {rate}"
             )
         return "takes over at the last command, without a bump"
+
+
+def _refused_setpoint(error: SetpointError) -> Reply:
+    return Reply(False, f"setpoint refused: {error}")

@@ -6,7 +6,7 @@ import contextlib
 import os
 import socket
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TypeVar
@@ -24,6 +24,7 @@ from hil.operation.protocol import (
     Answer,
     AnyCall,
     ArmCall,
+    AxisSetpoint,
     ControllerCall,
     DisarmCall,
     EventCall,
@@ -34,6 +35,7 @@ from hil.operation.protocol import (
     ResetCall,
     RigCall,
     SetpointCall,
+    SetpointsCall,
     ShutdownCall,
     StartCall,
     Status,
@@ -150,10 +152,20 @@ class Client:
 
         Raises DocumentError if the file cannot be read.
         """
-        text = setpoint if isinstance(setpoint, str) else f"step:{float(setpoint)!r}@0"
-        file = csv_file(text)
-        table = "" if file is None else read_text(Path(file), MAX_TABLE_CHARACTERS)
+        text, table = _setpoint_texts(setpoint)
         return self._ask(SetpointCall(id=self._next_id(), axis=axis, setpoint=text, table=table)).text
+
+    def set_setpoints(self, setpoints: Mapping[str, float | str]) -> str:
+        """Change the setpoints of several axes in one period, or none of them if one is refused.
+
+        ``setpoints`` are those of :meth:`set_setpoint` by axis name. Returns one line for each axis, which
+        begins with its name. Raises DocumentError if a file cannot be read.
+        """
+        given = []
+        for axis, setpoint in setpoints.items():
+            text, table = _setpoint_texts(setpoint)
+            given.append(AxisSetpoint(axis, text, table))
+        return self._ask(SetpointsCall(id=self._next_id(), setpoints=tuple(given))).text
 
     def set_controller(self, axis: str, file: str | os.PathLike[str]) -> str:
         """Change the controller of ``axis`` to that of a controller file. This process reads the file.
@@ -305,6 +317,13 @@ class _Lines:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _setpoint_texts(setpoint: float | str) -> tuple[str, str]:
+    """Return the text of a setpoint, and that of the file that it names. Raises DocumentError."""
+    text = setpoint if isinstance(setpoint, str) else f"step:{float(setpoint)!r}@0"
+    file = csv_file(text)
+    return text, "" if file is None else read_text(Path(file), MAX_TABLE_CHARACTERS)
 
 
 def _decode(line: bytes, kind: type[_Kind], path: Path) -> _Kind:

@@ -33,8 +33,8 @@ class Asked(msgspec.Struct, frozen=True, array_like=True, tag="asked"):
     call: LoopCall
     prepared: PreparedController | None = None
     """The controller of the request, read and checked."""
-    table: PreparedSetpoint | None = None
-    """The table of the request's setpoint, read and checked."""
+    tables: tuple[PreparedSetpoint, ...] = ()
+    """The tables of the request's setpoints, read and checked."""
 
 
 class Replied(msgspec.Struct, frozen=True, array_like=True, tag="reply"):

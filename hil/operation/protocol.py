@@ -27,6 +27,9 @@ request           keys besides ``id``            effect
 ``reset``                                        fault -> offline
 ``setpoint``      ``axis``, ``setpoint``,        changes the setpoint; its time 0 is now. ``table`` is the
                   ``table`` (optional)           text of the file that a setpoint ``csv:FILE`` names
+``setpoints``     ``setpoints``: a list of       changes the setpoints of several axes in one period, or none
+                  objects with the keys of       of them if one is refused
+                  ``setpoint``
 ``controller``    ``axis``, ``name``,            changes the controller; ``document`` is the text of a
                   ``document``                   controller file, ``name`` is its name in messages
 ``jog``           ``axis``, ``offset_v``,        moves one axis with a constant valve voltage, then centres
@@ -65,6 +68,8 @@ WRITE_TIMEOUT_S = 5.0
 """Time after which a client that reads nothing is disconnected."""
 MAX_OVERRIDES = 32
 """Number of checks that one request to arm can override."""
+MAX_SETPOINTS = 16
+"""Number of setpoints that one request can give."""
 
 AxisName = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 ShortText = Annotated[str, msgspec.Meta(min_length=1, max_length=1024)]
@@ -124,6 +129,22 @@ class SetpointCall(Call, frozen=True, tag="setpoint", omit_defaults=True):
     """Text of the file that a setpoint ``csv:FILE`` names."""
 
 
+class AxisSetpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """The setpoint of one axis in a request for several."""
+
+    axis: AxisName
+    setpoint: ShortText
+    """Setpoint as in a rig file, such as ``step:0.05@0``, or a number."""
+    table: str = ""
+    """Text of the file that a setpoint ``csv:FILE`` names."""
+
+
+class SetpointsCall(Call, frozen=True, tag="setpoints"):
+    """Change the setpoints of several axes in one period, or none of them if one is refused."""
+
+    setpoints: Annotated[tuple[AxisSetpoint, ...], msgspec.Meta(min_length=1, max_length=MAX_SETPOINTS)]
+
+
 class ControllerCall(Call, frozen=True, tag="controller"):
     """Change the controller of an axis."""
 
@@ -170,6 +191,7 @@ LoopCall = (
     | StopCall
     | ResetCall
     | SetpointCall
+    | SetpointsCall
     | ControllerCall
     | JogCall
     | EventCall

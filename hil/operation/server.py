@@ -16,6 +16,7 @@ import socket
 import struct
 import time
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,12 +24,11 @@ import msgspec
 
 from hil.core.controller_change import PreparedController, prepare_controller
 from hil.core.errors import DocumentError, HilError, SetpointError
-from hil.core.operator_requests import Prepared
 from hil.core.output import LogThrottle, Severity
 from hil.core.printable import printable
 from hil.core.requests import ControllerRequest, SetpointRequest
 from hil.core.rig import read_rig
-from hil.core.setpoint_change import PreparedSetpoint, prepare_setpoint
+from hil.core.setpoint_change import MAX_TABLE_CHARACTERS, PreparedSetpoint, prepare_setpoint
 from hil.core.suggestions import did_you_mean
 from hil.operation.pipe import MAX_MESSAGE_BYTES, Asked, Facts, FromLoop, Logged, Replied, StatusNow
 from hil.operation.places import Place, Places
@@ -40,6 +40,7 @@ from hil.operation.protocol import (
     VERSION,
     WRITE_TIMEOUT_S,
     Answer,
+    AxisSetpoint,
     ControllerCall,
     EventCall,
     Greeting,
@@ -48,6 +49,7 @@ from hil.operation.protocol import (
     LoopCall,
     RigCall,
     SetpointCall,
+    SetpointsCall,
     Status,
     StatusCall,
     Update,
@@ -68,6 +70,8 @@ WRITE_BUFFER_BYTES = 64 * 1024
 """Answers that wait for a client beyond the kernel's own buffer."""
 LOG_LINES = 256
 """Number of log entries that are kept for watching clients."""
+Checked = PreparedController | tuple[PreparedSetpoint, ...] | None
+"""What was read for a request: a controller, or the tables of its setpoints."""
 _CREDENTIALS = struct.Struct("3i")
 
 
@@ -136,13 +140,13 @@ class Server:
                 if future is not None and not future.done():
                     future.set_result(reply)
 
-    async def _ask_loop(self, call: LoopCall, asked_by: str, prepared: Prepared | None) -> Answer:
+    async def _ask_loop(self, call: LoopCall, asked_by: str, prepared: Checked) -> Answer:
         self._number += 1
         number = self._number
         controller = prepared if isinstance(prepared, PreparedController) else None
-        table = prepared if isinstance(prepared, PreparedSetpoint) else None
+        tables = () if prepared is None or isinstance(prepared, PreparedController) else prepared
         try:
-            self._pipe.send(msgspec.msgpack.encode(Asked(number, asked_by, call, controller, table)))
+            self._pipe.send(msgspec.msgpack.encode(Asked(number, asked_by, call, controller, tables)))
         except OSError:  # it is full, or the message is too large for it
             return Answer(
                 id=call.id, accepted=False, text="the loop takes no requests at the moment; try again"
@@ -237,7 +241,7 @@ class Server:
             return Answer(id=call.id, accepted=True, text=self._facts.rig)
         try:
             prepared = None
-            if isinstance(call, EventCall | ControllerCall | SetpointCall):
+            if isinstance(call, EventCall | ControllerCall | SetpointCall | SetpointsCall):
                 async with self._is_checking:
                     prepared = await asyncio.to_thread(self._check, call)
         except HilError as error:
@@ -259,8 +263,8 @@ class Server:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._has_loop_ended.wait(), call.interval_s)
 
-    def _check(self, call: EventCall | ControllerCall | SetpointCall) -> Prepared | None:
-        """Check what takes long to check, and return a controller or a table that was read.
+    def _check(self, call: EventCall | ControllerCall | SetpointCall | SetpointsCall) -> Checked:
+        """Check what takes long to check, and return a controller or the tables that were read.
 
         Raises HilError.
         """
@@ -277,12 +281,22 @@ class Server:
             case JogCall():
                 self._check_axis(call.axis)
             case SetpointCall():
-                self._check_axis(call.axis)
-                table = prepare_setpoint(SetpointRequest(call.axis, call.setpoint, call.table), self._rig)
-                if table is not None and table.refusal:
-                    raise SetpointError(f"setpoint refused: {table.refusal}")
-                return table
+                return self._tables([call])
+            case SetpointsCall():
+                _check_together(call.setpoints)
+                return self._tables(call.setpoints)
         return None
+
+    def _tables(self, setpoints: Sequence[SetpointCall | AxisSetpoint]) -> tuple[PreparedSetpoint, ...]:
+        """Return the tables of setpoints, read and checked. Raises HilError."""
+        tables: list[PreparedSetpoint] = []
+        for one in setpoints:
+            self._check_axis(one.axis)
+            table = prepare_setpoint(SetpointRequest(one.axis, one.setpoint, one.table), self._rig)
+            if table is not None and table.refusal:
+                raise SetpointError(f"setpoint refused: {table.refusal}")
+            tables += [] if table is None else [table]
+        return tuple(tables)
 
     def _check_axis(self, name: str) -> None:
         """Check that the rig has an axis. Raises DocumentError."""
@@ -330,6 +344,23 @@ class Peer(NamedTuple):
 
     def __str__(self) -> str:
         return f"{_user(self.user_id)} ({_program(self.process_id)}, process {self.process_id})"
+
+
+def _check_together(setpoints: Sequence[AxisSetpoint]) -> None:
+    """Check that the setpoints of a request are for different axes and fit into a message.
+
+    Raises SetpointError.
+    """
+    axes = [one.axis for one in setpoints]
+    for place, axis in enumerate(axes):
+        if axis in axes[:place]:
+            raise SetpointError(f"setpoint refused: {axis} is given twice; give one setpoint for each axis")
+    characters = sum(len(one.table) for one in setpoints)
+    if characters > MAX_TABLE_CHARACTERS:
+        raise SetpointError(
+            f"setpoint refused: the tables have {characters} characters together, limit "
+            f"{MAX_TABLE_CHARACTERS}; leave out rows, because straight lines connect them"
+        )
 
 
 def _evict(writer: asyncio.StreamWriter) -> None:

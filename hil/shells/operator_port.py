@@ -17,6 +17,7 @@ import msgspec
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import Trigger
 from hil.core.output import AxisSignals, Cycle, LogEntry, Severity
+from hil.core.printable import printable
 from hil.core.requests import (
     CheckFailure,
     ControllerRequest,
@@ -37,6 +38,7 @@ from hil.operation.protocol import (
     LoopCall,
     ResetCall,
     SetpointCall,
+    SetpointsCall,
     StartCall,
     Status,
     StopCall,
@@ -198,9 +200,11 @@ class OperatorPort:
             reply = Reply(False, "refused: the daemon is ending, with centred valves")
             session.note(LogEntry(Severity.WARNING, "operator", f"{asked.asked_by}: {reply.text}"))
             return reply
+        if isinstance(asked.call, SetpointsCall):
+            return _set_setpoints(session, asked.call, asked)
         request = _core_request(asked.call, self._failures)
         if request is not None:
-            return session.operate(request, asked.asked_by, asked.prepared or asked.table)
+            return session.operate(request, asked.asked_by, asked.prepared or next(iter(asked.tables), None))
         action = self._actions.get(type(asked.call))
         if action is None:
             return Reply(False, "this daemon does not know the request")
@@ -274,6 +278,39 @@ def _core_request(call: LoopCall, failures: tuple[CheckFailure, ...]) -> Request
         case JogCall():
             return JogRequest(call.axis, call.offset_v, call.duration_s)
     return _TRIGGERS.get(type(call))
+
+
+def _set_setpoints(session: Session, call: SetpointsCall, asked: Asked) -> Reply:
+    """Give the core every setpoint of a request, or none if one is refused.
+
+    The check changes nothing. So the recording has the setpoints that were given, one by one.
+    """
+    tables = iter(asked.tables)
+    requests = [
+        (SetpointRequest(one.axis, one.setpoint, one.table), next(tables, None) if one.table else None)
+        for one in call.setpoints
+    ]
+    refusals = [
+        reply.text
+        for request, table in (requests if len(requests) > 1 else [])  # The core itself checks one.
+        if (reply := session.gateway.refuse_setpoint(request, table)) is not None
+    ]
+    if refusals:
+        reply = Reply(False, f"no setpoint is changed: {'; '.join(refusals)}")
+        text = printable(f"{asked.asked_by} asks: setpoints of {_axes_of(call)}: {reply.text}")
+        session.note(LogEntry(Severity.WARNING, "operator", text))
+        return reply
+    lines: list[str] = []
+    is_accepted = True
+    for request, table in requests:
+        reply = session.operate(request, asked.asked_by, table)
+        is_accepted = is_accepted and reply.accepted
+        lines.append(f"{request.axis}: {reply.text}")
+    return Reply(is_accepted, "\n".join(lines))
+
+
+def _axes_of(call: SetpointsCall) -> str:
+    return ", ".join(one.axis for one in call.setpoints)
 
 
 def _axis_status(name: str, unit: str, signals: AxisSignals) -> AxisStatus:

@@ -13,7 +13,16 @@ from hil.cli import OPERATION, command_module, main, operate
 from hil.cli.operate import duration
 from hil.cli.status import show_json, show_live, show_text, status_lines
 from hil.operation.pipe import Replied
-from hil.operation.protocol import ArmCall, ControllerCall, EventCall, JogCall, LogLine, SetpointCall, Status
+from hil.operation.protocol import (
+    ArmCall,
+    AxisSetpoint,
+    ControllerCall,
+    EventCall,
+    JogCall,
+    LogLine,
+    SetpointsCall,
+    Status,
+)
 
 Bench = tuple[MadeUpLoop, list[str]]
 
@@ -70,8 +79,13 @@ def test_setpoints_are_numbers_or_texts(bench: Bench) -> None:
     loop, at = bench
     assert main(["setpoint", "vertical=0.05", "rotation=sine:0.1@0/4", *at]) == 0
     assert [asked.call for asked in loop.asked] == [
-        SetpointCall(id=1, axis="vertical", setpoint="step:0.05@0"),
-        SetpointCall(id=2, axis="rotation", setpoint="sine:0.1@0/4"),
+        SetpointsCall(
+            id=1,
+            setpoints=(
+                AxisSetpoint("vertical", "step:0.05@0"),
+                AxisSetpoint("rotation", "sine:0.1@0/4"),
+            ),
+        )
     ]
 
 
@@ -83,9 +97,10 @@ def test_the_table_of_a_setpoint_is_read_here_and_checked_by_the_server(
     table.write_text("0,0\n1,0.05\n")
     assert main(["setpoint", f"vertical=csv:{table}", *at]) == 0
     (asked,) = loop.asked
-    assert asked.call == SetpointCall(id=1, axis="vertical", setpoint=f"csv:{table}", table="0,0\n1,0.05\n")
-    assert asked.table is not None
-    assert (asked.table.times, asked.table.values) == ((0.0, 1.0), (0.0, 0.05))
+    given = AxisSetpoint("vertical", f"csv:{table}", "0,0\n1,0.05\n")
+    assert asked.call == SetpointsCall(id=1, setpoints=(given,))
+    (read,) = asked.tables
+    assert (read.times, read.values) == ((0.0, 1.0), (0.0, 0.05))
     table.write_text("0,0\n1,9\n")
     assert main(["setpoint", f"vertical=csv:{table}", *at]) == 1
     assert "setpoint refused: vertical: setpoint" in capsys.readouterr().err

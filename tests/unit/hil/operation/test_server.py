@@ -28,12 +28,14 @@ from hil.operation.protocol import (
     PROTOCOL,
     VERSION,
     ArmCall,
+    AxisSetpoint,
     ControllerCall,
     EventCall,
     JogCall,
     LoopCall,
     RecordNewCall,
     SetpointCall,
+    SetpointsCall,
     ShutdownCall,
 )
 from hil.shells.run_setup import SHIPPED_CONTROLLERS
@@ -80,6 +82,7 @@ def test_the_client_sends_each_request(bench: Bench, tmp_path: Path) -> None:
             assert method() == "done"
         client.set_setpoint("vertical", 0.05)
         client.set_setpoint("vertical", "hold")
+        client.set_setpoints({"vertical": 0.1, "rotation": "hold"})
         client.set_controller("vertical", tmp_path / "c.json")
         client.jog("rotation", -0.5, 0.2)
         client.record_new()
@@ -89,12 +92,13 @@ def test_the_client_sends_each_request(bench: Bench, tmp_path: Path) -> None:
     kinds = [type(asked.call).__struct_config__.tag for asked in loop.asked]
     assert kinds == [
         *("arm", "start", "stop", "disarm", "reset"),
-        *("setpoint", "setpoint", "controller", "jog", "record new", "record stop"),
+        *("setpoint", "setpoint", "setpoints", "controller", "jog", "record new", "record stop"),
     ]
     calls: list[LoopCall] = [msgspec.structs.replace(asked.call, id=0) for asked in loop.asked]
-    assert calls[5:9] == [
+    assert calls[5:10] == [
         SetpointCall(axis="vertical", setpoint="step:0.05@0"),
         SetpointCall(axis="vertical", setpoint="hold"),
+        SetpointsCall(setpoints=(AxisSetpoint("vertical", "step:0.1@0"), AxisSetpoint("rotation", "hold"))),
         ControllerCall(axis="vertical", name="c.json", document=document),
         JogCall(axis="rotation", offset_v=-0.5, duration_s=0.2),
     ]
@@ -105,6 +109,22 @@ def test_the_client_raises_the_daemons_refusal(bench: Bench) -> None:
     loop.reply = lambda asked: Replied(asked.number, False, "arm refused in state offline")
     with connect(path) as client, pytest.raises(RequestRefusedError, match="arm refused in state offline"):
         client.arm()
+
+
+def test_setpoints_of_a_request_must_be_for_different_axes_and_fit_into_a_message(bench: Bench) -> None:
+    loop, path = bench
+    twice = SetpointsCall(setpoints=(AxisSetpoint("vertical", "0"), AxisSetpoint("vertical", "0.1")))
+    table = "0,0\n" * 10_000
+    large = SetpointsCall(
+        setpoints=(AxisSetpoint("vertical", "csv:a", table), AxisSetpoint("rotation", "csv:b", table))
+    )
+    with connect(path) as client:
+        assert "vertical is given twice" in client.answer_to(twice).text
+        assert "80000 characters together, limit 65536" in client.answer_to(large).text
+        assert (
+            "no axis 'elbow'" in client.answer_to(SetpointsCall(setpoints=(AxisSetpoint("elbow", "0"),))).text
+        )
+    assert loop.asked == []
 
 
 def test_there_is_no_status_before_the_first_period(bench: Bench) -> None:

@@ -12,10 +12,12 @@ from support.operated_runs import OperatedRun
 
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import LogEntry, Severity
-from hil.core.requests import CheckFailure, Reply
+from hil.core.requests import CheckFailure, Reply, SetpointRequest
+from hil.core.setpoint_change import prepare_setpoint
 from hil.operation.pipe import Asked, FromLoop, Logged, Replied, StatusNow, pipe
 from hil.operation.protocol import (
     ArmCall,
+    AxisSetpoint,
     ControllerCall,
     DisarmCall,
     EventCall,
@@ -24,6 +26,7 @@ from hil.operation.protocol import (
     LoopCall,
     ResetCall,
     SetpointCall,
+    SetpointsCall,
     ShutdownCall,
     StartCall,
     Status,
@@ -283,3 +286,41 @@ def test_the_loop_goes_on_when_the_socket_process_has_ended(bench: PortBench) ->
     (text,) = texts(bench, "operation")
     assert text.startswith("the socket process has ended")
     assert bench.run.gateway.state.name == "READY"
+
+
+def test_setpoints_of_several_axes_are_all_given_or_none(bench: PortBench) -> None:
+    good, bad = AxisSetpoint("horizontal", "0.03"), AxisSetpoint("rotation", "30")
+    reply = bench.reply_to(SetpointsCall(setpoints=(good, bad)))
+    assert not reply.accepted
+    assert reply.text.startswith("no setpoint is changed: setpoint refused: rotation: setpoint")
+    assert "setpoints of horizontal, rotation: no setpoint is changed" in texts(bench, "operator")[-1]
+    assert bench.reply_to(ArmCall()).accepted
+    started = bench.reply_to(StartCall())
+    assert "horizontal approaches" not in started.text
+    reply = bench.reply_to(SetpointsCall(setpoints=(good, AxisSetpoint("rotation", "0.2"))))
+    assert reply.accepted
+    lines = reply.text.splitlines()
+    assert lines[0].startswith("horizontal: setpoint 0.03, approached now")
+    assert lines[1].startswith("rotation: setpoint 0.2, approached now")
+
+
+def test_the_tables_of_several_setpoints_are_used_for_their_axes(bench: PortBench) -> None:
+    given = (
+        AxisSetpoint("vertical", "csv:a.csv", "0,0\n1,0.02\n"),
+        AxisSetpoint("rotation", "0.1"),
+        AxisSetpoint("horizontal", "csv:b.csv", "0,0\n1,0.03\n"),
+    )
+    rig = bench.run.setup.rig
+    requests = [SetpointRequest(*msgspec.structs.astuple(one)) for one in given]
+    tables = [prepare_setpoint(request, rig) for request in requests if request.table]
+    bench.number += 1
+    call = SetpointsCall(setpoints=given)
+    bench.end.send(msgspec.msgpack.encode(Asked(bench.number, WHO, call, None, tuple(filter(None, tables)))))
+    bench.period()
+    (reply,) = bench.replies()
+    assert reply.accepted
+    assert [line.partition(":")[0] for line in reply.text.splitlines()] == [
+        "vertical",
+        "rotation",
+        "horizontal",
+    ]
