@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hil.core.check_names import OVERRIDE_HELP
 from hil.core.errors import DocumentError, HilError
 from hil.core.suggestions import did_you_mean
 from hil.host.command_parser import CommandParser, number
@@ -70,7 +71,7 @@ def parser() -> CommandParser:
         action="extend",
         default=[],
         metavar="CHECK",
-        help="arm although this check fails; the refusal names it",
+        help=OVERRIDE_HELP,
     )
     return command
 

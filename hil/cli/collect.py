@@ -24,6 +24,7 @@ from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run import add_override_option, chosen_bus, duration_argument
 from hil.cli.run_parts import SIMULATED
+from hil.core.check_names import check_overrides
 from hil.core.documents import to_json
 from hil.core.errors import DocumentError, HilError
 from hil.core.excitation import KINDS, Signal, read_table, samples
@@ -174,6 +175,7 @@ def main(argv: list[str]) -> int:
     check_page_options(options)
     console = Console(highlight=False, soft_wrap=True, markup=False)
     rig = load_rig(options.rig)
+    check_overrides(options.override, rig)
     experiment = _experiment(options, rig)
     setup = _setup(options, rig, experiment)
     bus = chosen_bus(options, setup)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.cli.axis_values import by_axis
+from hil.core.check_names import OVERRIDE_HELP
 from hil.core.errors import DocumentError, OperationError, RequestRefusedError
 from hil.core.setpoints import FORMS
 from hil.host.command_parser import CommandParser, number
@@ -250,9 +251,7 @@ def _add_event_arguments(parser: CommandParser) -> None:
 
 
 def _add_arm_arguments(parser: CommandParser) -> None:
-    parser.add_argument(
-        "--override", nargs="+", default=[], metavar="CHECK", help="arm although this check fails"
-    )
+    parser.add_argument("--override", nargs="+", default=[], metavar="CHECK", help=OVERRIDE_HELP)
 
 
 def _add_record_arguments(parser: CommandParser) -> None:

@@ -20,6 +20,7 @@ from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.quantities import duration_text
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import SIMULATED
+from hil.core.check_names import OVERRIDE_HELP, check_overrides
 from hil.core.errors import DocumentError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, FORMS
 from hil.host.command_parser import CommandParser
@@ -113,6 +114,7 @@ def main(argv: list[str]) -> int:
     check_page_options(options)
     scenario, scenario_text = given_scenario(options)
     setup = read_setup(options, scenario, scenario_text)
+    check_overrides(options.override, setup.rig)
     bus = chosen_bus(options, setup)
     if bus == SIMULATED:
         setup = replace(setup, texts={**setup.texts, **plant_texts(setup.rig, options)})
@@ -162,7 +164,7 @@ def add_override_option(command: argparse.ArgumentParser) -> None:
         action="extend",
         default=[],
         metavar="CHECK",
-        help="arm although this check fails; the refusal names it",
+        help=OVERRIDE_HELP,
     )
 
 

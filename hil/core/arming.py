@@ -20,14 +20,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from hil.core.axis_loops import AxisLoops
+from hil.core.check_names import CONTROLLER, POSITION
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.operating_state import OperatingState
 from hil.core.output import LogEntry, Output, Severity, combine
 from hil.core.requests import ArmRequest, CheckFailure
 from hil.core.rig import Rig
 
-POSITION, CONTROLLER = "position-", "controller-"
-"""Beginnings of the names of the core's checks. The name of the axis follows."""
+STAYS_REFUSED = ", because `hil start` and a jog of this axis stay refused, also with an override"
+"""End of the text of a failed check of a position."""
 SOURCE = "preflight"
 """Source of log entries about these checks."""
 
@@ -72,7 +73,7 @@ class Arming:
         for axis in self._axes:
             text = self._loops.position_refusal(axis)
             if text is not None:
-                yield CheckFailure(f"{POSITION}{axis}", text)
+                yield CheckFailure(f"{POSITION}{axis}", text + STAYS_REFUSED)
             if axis in self._controller_failures:
                 yield CheckFailure(f"{CONTROLLER}{axis}", self._controller_failures[axis])
 

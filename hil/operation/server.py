@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from hil.core.check_names import check_overrides
 from hil.core.controller_change import PreparedController, prepare_controller
 from hil.core.errors import DocumentError, HilError, SetpointError
 from hil.core.output import LogThrottle, Severity
@@ -40,11 +41,11 @@ from hil.operation.protocol import (
     VERSION,
     WRITE_TIMEOUT_S,
     Answer,
+    ArmCall,
     AxisSetpoint,
     ControllerCall,
     EventCall,
     Greeting,
-    JogCall,
     LogLine,
     LoopCall,
     RigCall,
@@ -70,6 +71,7 @@ WRITE_BUFFER_BYTES = 64 * 1024
 """Answers that wait for a client beyond the kernel's own buffer."""
 LOG_LINES = 256
 """Number of log entries that are kept for watching clients."""
+_CheckedCall = ArmCall | EventCall | ControllerCall | SetpointCall | SetpointsCall
 Checked = PreparedController | tuple[PreparedSetpoint, ...] | None
 """What was read for a request: a controller, or the tables of its setpoints."""
 _CREDENTIALS = struct.Struct("3i")
@@ -241,7 +243,7 @@ class Server:
             return Answer(id=call.id, accepted=True, text=self._facts.rig)
         try:
             prepared = None
-            if isinstance(call, EventCall | ControllerCall | SetpointCall | SetpointsCall):
+            if isinstance(call, _CheckedCall):
                 async with self._is_checking:
                     prepared = await asyncio.to_thread(self._check, call)
         except HilError as error:
@@ -263,12 +265,14 @@ class Server:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._has_loop_ended.wait(), call.interval_s)
 
-    def _check(self, call: EventCall | ControllerCall | SetpointCall | SetpointsCall) -> Checked:
+    def _check(self, call: _CheckedCall) -> Checked:
         """Check what takes long to check, and return a controller or the tables that were read.
 
         Raises HilError.
         """
         match call:
+            case ArmCall():
+                check_overrides(call.override, self._rig)
             case EventCall():
                 self._check_event(call.text)
             case ControllerCall():
@@ -278,8 +282,6 @@ class Server:
                 if controller.refusal:
                     raise DocumentError(f"controller refused: {controller.refusal}")
                 return controller
-            case JogCall():
-                self._check_axis(call.axis)
             case SetpointCall():
                 return self._tables([call])
             case SetpointsCall():

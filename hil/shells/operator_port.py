@@ -305,7 +305,8 @@ def _set_setpoints(session: Session, call: SetpointsCall, asked: Asked) -> Reply
     for request, table in requests:
         reply = session.operate(request, asked.asked_by, table)
         is_accepted = is_accepted and reply.accepted
-        lines.append(f"{request.axis}: {reply.text}")
+        # A refusal names its axis.
+        lines.append(f"{request.axis}: {reply.text}" if reply.accepted else reply.text)
     return Reply(is_accepted, "\n".join(lines))
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from hil.core.check_names import check_of_right
 from hil.core.errors import HilError
 from hil.core.requests import CheckFailure
 from hil.core.rig import REAL_ARM_RIGHTS, Rig
@@ -37,7 +38,7 @@ def missing_rights(rig: Rig, bus: str, rights: Rights) -> tuple[CheckFailure, ..
     required = required_rights(rig, bus)
     return tuple(
         CheckFailure(
-            right.name.replace(" ", "-"),
+            check_of_right(right.name),
             f"this machine refuses this right to the loop: {right.detail}; the rig requires it (rig: "
             f"loop.required_rights): {rights_advice(right) or 'see `hil doctor`'}",
         )

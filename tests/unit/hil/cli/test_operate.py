@@ -75,6 +75,23 @@ def test_arm_sends_its_overrides(bench: Bench) -> None:
     assert calls == [ArmCall(id=1), ArmCall(id=1, override=("SCHED_FIFO", "memory-lock"))]
 
 
+def test_an_unknown_override_is_refused_before_the_loop_sees_it(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, at = bench
+    assert main(["arm", "--override", "position-vertica", *at]) == 1
+    assert capsys.readouterr().err.endswith("did you mean position-vertical?\n")
+    assert loop.asked == []
+
+
+@pytest.mark.parametrize("command", [["run"], ["collect", "--axis", "vertical", "--dry-run"]])
+def test_an_unknown_override_of_a_run_is_refused(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command, "--lockstep", "--override", "foo"]) == 2
+    assert "--override foo: no check has this name" in capsys.readouterr().err
+
+
 def test_setpoints_are_numbers_or_texts(bench: Bench) -> None:
     loop, at = bench
     assert main(["setpoint", "vertical=0.05", "rotation=sine:0.1@0/4", *at]) == 0

@@ -8,9 +8,11 @@ import pytest
 from support.constants import PERIOD_S
 from support.gateway_bench import START_NS, SteppedGateway, make_rig
 
+from hil.core.check_names import check_overrides
 from hil.core.control_law import ControlLaw
 from hil.core.controller_file import PidLaw
 from hil.core.core_state import restore, state_of
+from hil.core.errors import DocumentError
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import Severity
@@ -87,6 +89,13 @@ def test_a_position_outside_the_envelope_refuses_to_arm() -> None:
     gateway.period(BEYOND_V)
     text = refusal(gateway, Trigger.ARM)
     assert "position-vertical: position -0.1551 m is below the lower soft end stop -0.15 m" in text
+    assert "by hand, because `hil start` and a jog of this axis stay refused, also with an override" in text
+    assert arm(gateway, ArmRequest((), ("position-vertical",)))
+    for request in (Trigger.START, JogRequest("vertical", 0.3, 0.1)):
+        reply = gateway.operate(request).reply
+        assert reply is not None
+        assert not reply.accepted
+    gateway.operate(Trigger.DISARM)
     gateway.period((5.0, 5.0, 5.0))
     assert arm(gateway, Trigger.ARM) == []
 
@@ -112,6 +121,25 @@ def test_every_failed_check_must_be_overridden() -> None:
     assert len(warnings) == 3
     assert warnings[0] == "SCHED_FIFO is overridden: this machine refuses it"
     assert gateway.core.overridden_checks == names
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("foo", ""),
+        ("position-vertikal", "; did you mean position-vertical?"),
+        ("memory lock", "; did you mean memory-lock?"),
+    ],
+)
+def test_an_override_of_a_check_that_does_not_exist_is_refused(name: str, hint: str) -> None:
+    rig = make_rig(axes=["vertical"])
+    check_overrides(["position-vertical", "controller-vertical", "SCHED_FIFO", "memory-lock"], rig)
+    with pytest.raises(DocumentError) as raised:
+        check_overrides(["SCHED_FIFO", name], rig)
+    assert str(raised.value) == (
+        f"--override {name}: no check has this name; the checks are position-vertical, controller-vertical, "
+        f"SCHED_FIFO, memory-lock{hint}"
+    )
 
 
 def test_an_override_that_was_not_needed_is_not_shown() -> None:

@@ -294,6 +294,7 @@ def test_setpoints_of_several_axes_are_all_given_or_none(bench: PortBench) -> No
     assert not reply.accepted
     assert reply.text.startswith("no setpoint is changed: setpoint refused: rotation: setpoint")
     assert "setpoints of horizontal, rotation: no setpoint is changed" in texts(bench, "operator")[-1]
+    assert bench.reply_to(SetpointsCall(setpoints=(bad,))).text.startswith("setpoint refused: rotation: ")
     assert bench.reply_to(ArmCall()).accepted
     started = bench.reply_to(StartCall())
     assert "horizontal approaches" not in started.text
