@@ -35,7 +35,7 @@ from hil.core.jogging import Jogging
 from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger
 from hil.core.operating_state import OperatingState
 from hil.core.operator_requests import OperatorRequests, Prepared
-from hil.core.output import NOTHING, Cycle, LogEntry, LogThrottle, Output, Severity, combine
+from hil.core.output import NOTHING, Cycle, LogEntry, LogThrottle, Output, Severity, answer, combine
 from hil.core.period_clock import PeriodClock
 from hil.core.phase import Phase
 from hil.core.rejections import Rejections
@@ -214,6 +214,8 @@ class Gateway:
 
         With this, a shell gives the setpoints of several axes only if none is refused.
         """
+        if self.fault_reason is not None:
+            return Reply(False, f"{request.axis}: {self._setpoint_in_fault}")
         return self._requests.refuse_setpoint(request, prepared)
 
     def _take_request(self, request: Request, now_ns: int, prepared: Prepared | None) -> Output:
@@ -228,11 +230,23 @@ class Gateway:
         return output._replace(reply=Reply(self._state.current is not before, text))
 
     def _change(self, request: SetpointRequest | ControllerRequest, prepared: Prepared | None) -> Output:
+        if self.fault_reason is not None and isinstance(request, SetpointRequest):
+            return self._requests.refuse(request) or answer(
+                request.axis, Reply(False, self._setpoint_in_fault)
+            )
         output = self._requests.change(request, self._is_controlling, prepared)
         is_accepted = output.reply is not None and output.reply.accepted
         if is_accepted and isinstance(request, ControllerRequest):
             self._arming.controller_changed(request.axis)
         return output
+
+    @property
+    def _setpoint_in_fault(self) -> str:
+        """Refusal of a setpoint in state fault."""
+        return (
+            f"setpoint refused: the state is fault ({self.fault_reason}), and a reset returns to the first "
+            "setpoints; give it after `hil reset`"
+        )
 
     @property
     def overridden_checks(self) -> tuple[str, ...]:

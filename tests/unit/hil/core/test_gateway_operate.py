@@ -253,8 +253,10 @@ class TestSetpoints:
     @pytest.mark.parametrize("way", [(Trigger.DISARM, Trigger.ARM), (Trigger.RESET,)])
     def test_what_was_asked_for_before_a_disarm_or_reset_is_forgotten(self, way: tuple[Trigger, ...]) -> None:
         fault = Trigger.RESET in way
-        gateway = make_stepped(LifeCycleState.FAULT if fault else LifeCycleState.ARMED)
+        gateway = make_stepped(LifeCycleState.ARMED)
         assert ask(gateway, SetpointRequest("vertical", "0.1")).accepted
+        if fault:
+            gateway.core.link_failed("test")
         for trigger in way:
             gateway.operate(trigger)
         while gateway.state is LifeCycleState.OFFLINE:
@@ -266,6 +268,18 @@ class TestSetpoints:
         assert gateway.state is LifeCycleState.RUNNING
         assert gateway.transcript.cycles[-1].axes[0].setpoint == 0.05  # that of the gateway's start
         assert not any("approaches" in entry.text for entry in output.log)
+
+    def test_it_is_refused_in_state_fault_because_a_reset_would_forget_it(self) -> None:
+        gateway = make_stepped(LifeCycleState.FAULT)
+        request = SetpointRequest("vertical", "0.1")
+        reply = ask(gateway, request)
+        assert not reply.accepted
+        assert reply.text.startswith("setpoint refused: the state is fault (")
+        assert "give it after `hil reset`" in reply.text
+        refusal = gateway.core.refuse_setpoint(request)
+        assert refusal is not None
+        assert refusal.text == f"vertical: {reply.text}"
+        assert "no axis 'elbow'" in ask(gateway, SetpointRequest("elbow", "0.1")).text
 
     def test_the_start_says_which_axes_will_move(self) -> None:
         gateway = make_stepped(LifeCycleState.ARMED)
