@@ -38,6 +38,8 @@ FORMS = {
 }
 """How each kind of setpoint is written."""
 EXAMPLE = "step:0.1@1"
+COLUMNS = ["time_s", "setpoint"]
+"""Columns of a table of setpoints, in seconds and in the axis' unit."""
 HOLD = "hold"
 """Setpoint of an axis that keeps the position at which it was when control began."""
 MIN_SPAN_S = 0.001
@@ -259,7 +261,8 @@ def _from_csv(text: str, content: str, file: str) -> Setpoint:
         if not row or row[0].lstrip().startswith("#"):
             continue
         if not times and not any(map(_is_number, row)):
-            continue  # a header
+            _check_header(row, row_number, file)
+            continue
         try:
             time_s, value = (float(cell) for cell in row)
         except ValueError:
@@ -276,6 +279,15 @@ def _from_csv(text: str, content: str, file: str) -> Setpoint:
         raise SetpointError(f"{file}: no rows of time_s,setpoint")
 
     return table_setpoint(text, tuple(times), tuple(values))
+
+
+def _check_header(row: list[str], row_number: int, file: str) -> None:
+    """Check that the header names the columns that are read. Raises SetpointError."""
+    if [cell.strip() for cell in row] != COLUMNS:
+        raise SetpointError(
+            f"{file}: row {row_number}: the header is {','.join(row)!r:.80}, but the columns must be "
+            f"{','.join(COLUMNS)}, in this order; correct the header, or leave it out"
+        )
 
 
 def table_setpoint(text: str, times: tuple[float, ...], values: tuple[float, ...]) -> Setpoint:

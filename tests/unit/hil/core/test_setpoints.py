@@ -296,7 +296,7 @@ class TestCsv:
         [
             "1,0.1\n2,0.2\n2,-0.1\n4,0.3",
             "# from the lab\ntime_s,setpoint\n1,0.1\n\n2,0.2\n # a step\n2,-0.1\n4,0.3\n",
-            "t,r\r\n1,0.1\r\n2,0.2\r\n2,-0.1\r\n4,0.3\r\n",
+            "time_s, setpoint\r\n1,0.1\r\n2,0.2\r\n2,-0.1\r\n4,0.3\r\n",
             "1,0.1\r2,0.2\r2,-0.1\r4,0.3\r",
             ' 1 , 0.1 \n2,"0.2"\n2,-1e-1\n4,.3\n',
         ],
@@ -311,7 +311,12 @@ class TestCsv:
         [
             ("", "r.csv: no rows of time_s,setpoint"),
             ("time_s,setpoint\n", "r.csv: no rows of time_s,setpoint"),
-            ("0;0.1\n", "r.csv: no rows"),
+            ("0;0.1\n", "r.csv: row 1: the header is '0;0.1', but the columns must be time_s,setpoint"),
+            (
+                "# lab\nsetpoint,time_s\n0,1\n",
+                "r.csv: row 2: the header is 'setpoint,time_s', but the columns",
+            ),
+            ("time_s,setpoint,unit\n0,0\n", "r.csv: row 1: the header is 'time_s,setpoint,unit', but"),
             ("O,0.1\n1,0.2\n", "r.csv: row 1: 'O,0.1' is not time_s,setpoint"),
             ("0,0.1,2\n", "r.csv: row 1: '0,0.1,2' is not time_s,setpoint"),
             ("0,0.1\nx,y\n", "r.csv: row 2: 'x,y' is not time_s,setpoint"),
