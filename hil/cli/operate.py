@@ -292,7 +292,10 @@ STOP = _simple(
 RESET = _simple(
     "reset",
     "Leave state fault, after its cause is removed. The boards are then brought up again.",
-    Client.reset,
+    lambda client: (
+        f"{client.reset()}; the boards are brought up again, and `hil status` says what is missing until the "
+        "state is ready"
+    ),
 )
 SHUTDOWN = _simple(
     "shutdown", "End the daemon: it centres the valves and closes the recording.", Client.shutdown

@@ -77,6 +77,8 @@ class OperatingState:
         state = self.current.name.lower()
         if _AIMS.get(trigger) is self.current:
             circumstances = f"it is {state} already"
+        elif self.current is LifeCycleState.OFFLINE and trigger is Trigger.ARM:
+            circumstances = f"wait for state ready: {circumstances}"
         elif self.fault_reason is not None:
             circumstances = self.fault_reason
         text = f"{trigger.value} refused in state {state} ({circumstances}); allowed: {allowed}"

@@ -33,7 +33,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
         yield loop, ["--socket", str(path)]
 
 
-@pytest.mark.parametrize("name", ["arm", "disarm", "start", "stop", "reset"])
+@pytest.mark.parametrize("name", ["arm", "disarm", "start", "stop"])
 def test_a_command_prints_what_the_daemon_says(
     bench: Bench, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -41,6 +41,18 @@ def test_a_command_prints_what_the_daemon_says(
     loop.reply = lambda asked: Replied(asked.number, True, f"{name}: it happened")
     assert main([name, *at]) == 0
     assert capsys.readouterr().out == f"{name}: it happened\n"
+
+
+def test_a_reset_says_that_the_boards_must_come_up_again(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, at = bench
+    loop.reply = lambda asked: Replied(asked.number, True, "fault -> offline (reset)")
+    assert main(["reset", *at]) == 0
+    assert capsys.readouterr().out == (
+        "fault -> offline (reset); the boards are brought up again, and `hil status` says what is missing "
+        "until the state is ready\n"
+    )
 
 
 def test_a_refusal_is_an_error_with_status_1(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:

@@ -109,7 +109,7 @@ def test_an_operator_cannot_give_triggers_of_the_core(state: LifeCycleState, tri
 def test_a_refusal_describes_the_boards() -> None:
     gateway = make_stepped()
     assert gateway.operate(Trigger.ARM).log[0].text == (
-        "arm refused in state offline (adc silent; dac silent); allowed: nothing"
+        "arm refused in state offline (wait for state ready: adc silent; dac silent); allowed: nothing"
     )
 
 
