@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from hil.core.errors import DocumentError
 from hil.core.setpoints import HOLD
 from hil.host.command_parser import CommandParser, number
 from hil.live.address import add_page_options
-from hil.shells.run_setup import RIG_NAME, calibration_setup, load_rig
+from hil.shells.run_setup import RIG_NAME, calibration_setup, load_rig, unusable_setpoints
 
 DESCRIPTION = """\
 Run the gateway until it is stopped. The daemon brings the boards up and waits in state ready; it never arms
@@ -132,6 +133,8 @@ def main(argv: list[str]) -> int:
     scenario, scenario_text = given_scenario(options)
     options.setpoint = _held(options, set(scenario.setpoints) if scenario else set())
     setup = read_setup(options, scenario, scenario_text)
+    for problem in unusable_setpoints(options.rig, setup):
+        sys.stderr.write(f"hil daemon: warning: {problem}; this daemon holds the position instead\n")
     if options.calibrate is not None:
         setup = calibration_setup(setup, options.calibrate, str(options.rig or RIG_NAME))
     bus = chosen_bus(options, setup)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,8 +22,8 @@ from hil.core.errors import DocumentError, SetpointError
 from hil.core.experiment import NAME as EXPERIMENT_NAME
 from hil.core.experiment import Experiment, read_experiment
 from hil.core.gateway import Gateway
-from hil.core.rig import Rig, read_rig
-from hil.core.setpoints import Setpoint, check_speed, check_within, csv_file, parse_setpoint
+from hil.core.rig import AxisSettings, Rig, read_rig
+from hil.core.setpoints import HOLD, Setpoint, check_speed, check_within, csv_file, parse_setpoint
 from hil.core.suggestions import did_you_mean
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 
@@ -183,15 +183,38 @@ def setup_from_texts(
             raise SetpointError(f"no setpoint for axis {name}")
         has_table = csv_file(setpoints[name]) is not None
         table = _document(texts, f"setpoints/{name}.csv") if has_table else ""
-        try:
-            parsed[name] = parse_setpoint(setpoints[name], table)
-            check_within(parsed[name], name, axis.min_y, axis.max_y, axis.unit)
-            check_speed(parsed[name], name, axis.limits.max_speed, axis.unit)
-        except SetpointError as error:
-            origin = sources.get(f"setpoints.{name}", f"setpoints.{name}")
-            raise SetpointError(f"{origin}: {error}") from None
+        origin = sources.get(f"setpoints.{name}", f"setpoints.{name}")
+        parsed[name] = _setpoint(setpoints[name], table, name, axis, origin)
     experiment = read_experiment(texts[EXPERIMENT_NAME], rig) if EXPERIMENT_NAME in texts else None
     return RunSetup(rig, files, parsed, dict(texts), experiment)
+
+
+def _setpoint(text: str, table: str, name: str, axis: AxisSettings, origin: str) -> Setpoint:
+    """Read a setpoint and check it against its axis. Raises SetpointError."""
+    try:
+        setpoint = parse_setpoint(text, table)
+        check_within(setpoint, name, axis.min_y, axis.max_y, axis.unit)
+        check_speed(setpoint, name, axis.limits.max_speed, axis.unit)
+    except SetpointError as error:
+        raise SetpointError(f"{origin}: {error}") from None
+    return setpoint
+
+
+def unusable_setpoints(rig_path: Path | None, setup: RunSetup) -> Iterator[str]:
+    """Yield what is wrong with setpoints of the rig file for axes that hold their positions in ``setup``.
+
+    `hil run` and `hil rig --check` refuse such a file.
+    """
+    source = rig_path or SHIPPED / RIG_NAME
+    for name, axis in setup.rig.axes.items():
+        if setup.setpoints[name].text != HOLD:
+            continue
+        file = csv_file(axis.setpoint)
+        try:
+            table = "" if file is None else read_text(source.parent / file, MAX_TABLE_BYTES)
+            _setpoint(axis.setpoint, table, name, axis, f"{rig_path or RIG_NAME}: axes.{name}.setpoint")
+        except (DocumentError, SetpointError) as error:
+            yield str(error)
 
 
 def calibration_setup(setup: RunSetup, axis: str, source: str) -> RunSetup:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hil.cli import daemon, daemon_run, main
-from hil.shells.run_setup import RunSetup
+from hil.shells.run_setup import SHIPPED, RunSetup
 
 
 @pytest.fixture
@@ -35,6 +35,25 @@ def test_every_axis_holds_its_position(started: list[tuple[RunSetup, str]]) -> N
     assert setpoints(setup) == {"vertical": "hold", "horizontal": "hold", "rotation": "hold"}
     assert bus == "sim"
     assert {"arm.toml", "plant.json"} <= set(setup.texts)
+
+
+def test_setpoints_of_the_rig_file_that_hil_run_refuses_are_a_warning(
+    started: list[tuple[RunSetup, str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (SHIPPED / "rig.toml").read_text()
+    path = tmp_path / "rig.toml"
+    path.write_text(text.replace('setpoint = "', 'setpoint = "step:9@1" # "', 1))
+    assert main(["rig", "--check", str(path)]) == 2
+    refusal = capsys.readouterr().err.removeprefix("hil rig: ").strip()
+    assert "rig.toml: axes.vertical.setpoint: vertical: setpoint 'step:9@1' reaches 9 m" in refusal
+    assert main(["daemon", "--rig", str(path)]) == 0
+    warning = capsys.readouterr().err
+    assert warning == f"hil daemon: warning: {refusal}; this daemon holds the position instead\n"
+    assert main(["daemon", "--rig", str(path), "--setpoint", "vertical=step:0.1@1"]) == 0
+    path.write_text(text.replace('setpoint = "', 'setpoint = "csv:none.csv" # "', 1))
+    assert main(["daemon", "--rig", str(path)]) == 0
+    assert "none.csv: cannot be read" in capsys.readouterr().err
+    assert len(started) == 3
 
 
 def test_a_setpoint_and_a_controller_can_be_given(started: list[tuple[RunSetup, str]]) -> None:

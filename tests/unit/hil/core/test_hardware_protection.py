@@ -108,7 +108,8 @@ class TestEmergencyStop:
         (refusal,) = texts(subject.operate(Trigger.ARM))
         why = "no frame 0x290 has shown the contact closed" if bits is None else OPEN_TEXT
         assert refusal.startswith(
-            "life cycle: arm refused in state offline (wait for state ready: adc operational; dac operational; "
+            "life cycle: arm refused in state offline (wait for state ready: adc operational; "
+            "dac operational; "
         )
         assert f"emergency stop: {why}" in refusal
         assert why in subject.core.readiness
