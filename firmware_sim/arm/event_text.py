@@ -52,7 +52,10 @@ def parse_event(text: str, source: str = "") -> AnyEvent:
     match = _FORM.fullmatch(text)
     if match is None or match["name"] not in _KINDS:
         name = text.partition(":")[0]
-        hint = "" if name in _KINDS else did_you_mean(name, _KINDS)
+        if name in _KINDS:
+            form = f"{FORM_OF[name]}@S"
+            raise DocumentError(f"{source}: not an event; write {form}, where S is its time in seconds")
+        hint = did_you_mean(name, _KINDS)
         raise DocumentError(f"{source}: not an event{f'{hint} The' if hint else '; the'} forms are: {FORMS}")
     kind = _KINDS[match["name"]]
     fields = [field for field in msgspec.structs.fields(kind) if field.name != "at_s"]
@@ -64,7 +67,10 @@ def parse_event(text: str, source: str = "") -> AnyEvent:
         )
     plain = {field.name: _value(value) for field, value in zip(fields, values, strict=False)}
     plain |= {"change": kind.__struct_config__.tag, "at_s": float(match["time"])}
-    event: AnyEvent = from_plain(plain, kind, source)  # type: ignore[assignment]
+    try:
+        event: AnyEvent = from_plain(plain, kind, source)  # type: ignore[assignment]
+    except DocumentError as error:
+        raise DocumentError(f"{error}; the form is {FORM_OF[match['name']]}") from None
     return event
 
 

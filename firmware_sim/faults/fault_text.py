@@ -60,7 +60,7 @@ def parse_fault(text: str, source: str | None = None) -> AnyFault:
     source = source or f"--fault {text!r}"
     match = _FORM.fullmatch(text)
     if match is None:
-        raise DocumentError(f"{source}: not a fault; write NAME:VALUES and its time ({WHEN_FORMS}). {FORMS}")
+        raise DocumentError(f"{source}: not a fault; write NAME:VALUES and its time ({WHEN_FORMS}). The forms are: {FORMS}")
     plain: dict[str, Any] = {"when": match["when"] or "", "at_s": float(match["at"] or match["after"] or 0)}
     if match["for"] is not None:
         plain["for_s"] = float(match["for"])
@@ -70,7 +70,7 @@ def parse_fault(text: str, source: str | None = None) -> AnyFault:
         return _convert({**plain, "fault": "arm", "event": msgspec.to_builtins(event)}, ArmFault, source)
     if name not in _KINDS:
         hint = did_you_mean(name, [*_KINDS, *_EVENTS])
-        raise DocumentError(f"{source}: there is no fault {name!r}{hint or '.'} {FORMS}")
+        raise DocumentError(f"{source}: there is no fault {name!r}{hint or '.'} The forms are: {FORMS}")
     kind = _KINDS[name]
     fields = [field for field in msgspec.structs.fields(kind) if field.name not in _BASE_FIELDS]
     values = match["values"].split(",") if match["values"] else []

@@ -10,12 +10,19 @@ _MAX_COMPARED = 100
 
 
 def nearest(word: str, valid: Iterable[str]) -> str | None:
-    """Return the valid word that is most like ``word``, ignoring case; None where none is similar."""
+    """Return the valid word that is most like ``word``, ignoring case; None where none is similar.
+
+    Among similar words, one with the same letters is preferred: two letters were exchanged.
+    """
     by_lower_case = {candidate.lower(): candidate for candidate in valid}
     if len(word) > _MAX_COMPARED:
         return None
-    found = get_close_matches(word.lower(), by_lower_case, n=1)
-    return by_lower_case[found[0]] if found else None
+    found = get_close_matches(word.lower(), by_lower_case)
+    if not found:
+        return None
+    letters = sorted(word.lower())
+    exchanged = (candidate for candidate in found if sorted(candidate) == letters)
+    return by_lower_case[next(exchanged, found[0])]
 
 
 def did_you_mean(word: str, valid: Iterable[str]) -> str:

@@ -46,6 +46,8 @@ def test_a_scenario_for_an_axis_that_the_rig_does_not_have_is_rejected(table: st
 
 
 def test_mistyped_names_get_a_hint() -> None:
+    with pytest.raises(DocumentError, match=r"did you mean fig14\?"):
+        find_scenario("fig41")
     with pytest.raises(DocumentError, match=r"did you mean fig13\?"):
         find_scenario("fg13")
     scenario = read_scenario('title = "mine"\nduration_s = 1.0\n[controllers]\nverticl = "ppid"\n', "m.toml")

@@ -51,8 +51,9 @@ def test_the_forms_name_every_event() -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("payload", "not an event; the forms are: payload:KG@S, "),
-        ("payload:3", "not an event; the forms are: payload:KG@S, "),
+        ("payload", "not an event; write payload:KG@S, where S is its time in seconds"),
+        ("payload:3", "not an event; write payload:KG@S, where S is its time in seconds"),
+        ("payload:3kg@1", "mass_kg is '3kg', but must be a number; the form is payload:KG"),
         ("payload:@3", "not an event"),
         ("paylod:3@2", "not an event; did you mean payload? The forms are: payload:KG@S, "),
         ("payload:3@-1", "at_s is -1.0, but must be at least 0.0"),

@@ -51,7 +51,7 @@ def test_values_that_may_be_omitted_have_defaults() -> None:
     [
         ("lose:sample", "not a fault; write NAME:VALUES and its time (@SECONDS, @running, @AXIS>POSITION"),
         ("lose:sample@never", "not a fault"),
-        ("loose:sample@1", "there is no fault 'loose'; did you mean lose?"),
+        ("loose:sample@1", "there is no fault 'loose'; did you mean lose? The forms are: frames: lose:"),
         ("lose:samples@1", "frame is 'samples'"),
         ("lose:sample,0@1", "amount"),
         ("lose:sample,5,6@1", "lose takes frame, amount; 'sample,5,6' has 3"),
