@@ -42,8 +42,8 @@ def read_text(path: Path, max_bytes: int = MAX_DOCUMENT_BYTES) -> str:
         raise DocumentError(f"{str(path)!r}: cannot be read: {error}") from None
     if size > max_bytes or len(data) > max_bytes:
         raise DocumentError(
-            f"{path}: has {max(size, len(data)) / 1e6:.1f} MB, more than the limit {max_bytes / 1e6:g} MB "
-            "for such a file"
+            f"{path}: has {_amount(max(size, len(data)), max_bytes)}, more than the limit "
+            f"{_amount(max_bytes, max_bytes)} for such a file"
         )
     if data.startswith(_MCAP_MAGIC):
         raise DocumentError(f"{path}: is a recording (MCAP), not a text; `hil replay` takes it")
@@ -51,3 +51,8 @@ def read_text(path: Path, max_bytes: int = MAX_DOCUMENT_BYTES) -> str:
         return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise DocumentError(f"{path}: is not text in UTF-8: byte {error.start} cannot be decoded") from None
+
+
+def _amount(size: int, limit: int) -> str:
+    """Return a size in the unit that suits the limit."""
+    return f"{size / 1e6:g} MB" if limit >= 1_000_000 else f"{size / 1e3:g} kB"

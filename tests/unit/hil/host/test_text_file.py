@@ -53,16 +53,17 @@ def test_a_socket_and_a_directory_are_refused(tmp_path: Path, monkeypatch: pytes
     assert refusal(tmp_path) == f"{tmp_path}: is a directory, not a regular file"
 
 
-@pytest.mark.parametrize("max_bytes", [MAX_DOCUMENT_BYTES, MAX_TABLE_BYTES, 10])
+@pytest.mark.parametrize("max_bytes", [MAX_DOCUMENT_BYTES, MAX_TABLE_BYTES, 65536, 10])
 def test_the_limit_itself_is_allowed_and_one_byte_more_is_refused(tmp_path: Path, max_bytes: int) -> None:
+    factor, unit = (1e6, "MB") if max_bytes >= 1_000_000 else (1e3, "kB")
     path = tmp_path / "t"
     path.touch()
     os.truncate(path, max_bytes)
     assert len(read_text(path, max_bytes)) == max_bytes
     os.truncate(path, max_bytes + 1)
     assert refusal(path, max_bytes) == (
-        f"{path}: has {(max_bytes + 1) / 1e6:.1f} MB, more than the limit {max_bytes / 1e6:g} MB for such a "
-        "file"
+        f"{path}: has {(max_bytes + 1) / factor:g} {unit}, more than the limit {max_bytes / factor:g} {unit} "
+        "for such a file"
     )
 
 
@@ -71,7 +72,7 @@ def test_a_file_that_states_no_size_is_read_up_to_the_limit() -> None:
     path = Path("/proc/self/maps")
     assert path.stat().st_size == 0
     assert "stack" in read_text(path)
-    assert "more than the limit 0.0001 MB" in refusal(path, 100)
+    assert "more than the limit 0.1 kB" in refusal(path, 100)
 
 
 def test_a_recording_is_recognised(tmp_path: Path) -> None:
