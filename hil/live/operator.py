@@ -33,6 +33,8 @@ class DaemonOperator:
         """
         if request.get("request") not in ALLOWED:
             raise ValueError(f"{request.get('request')!r:.60} is not one of {', '.join(sorted(ALLOWED))}")
+        if request["request"] == "setpoint" and not str(request.get("setpoint", "")).strip():
+            return {"accepted": False, "text": "the setpoint is empty: enter a position, such as 0.05"}
         call = decode_call(msgspec.json.encode(request))
         with self._lock:
             try:

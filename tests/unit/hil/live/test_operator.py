@@ -37,6 +37,13 @@ def test_a_page_may_only_operate(name: str | None) -> None:
         DaemonOperator("x").ask({"request": name})
 
 
+@pytest.mark.parametrize("setpoint", ["", "  "])
+def test_an_empty_setpoint_is_refused_in_words(setpoint: str) -> None:
+    request = {"request": "setpoint", "axis": "vertical", "setpoint": setpoint}
+    reply = DaemonOperator("x").ask(request)
+    assert reply == {"accepted": False, "text": "the setpoint is empty: enter a position, such as 0.05"}
+
+
 def test_a_request_with_a_wrong_key_is_no_request() -> None:
     with pytest.raises(ValueError, match="volts"):
         DaemonOperator("x").ask(json.loads('{"request": "jog", "axis": "vertical", "volts": 1}'))
