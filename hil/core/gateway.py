@@ -325,7 +325,7 @@ class Gateway:
         self._jogging.cancel()
         self._reported_phase = Phase.NONE
         moves = tuple(
-            LogEntry(Severity.INFO, axis, f"{axis} approaches {text}")
+            LogEntry(Severity.INFO, "setpoint", f"{axis} approaches {text}")
             for axis, text in self._loops.requested_setpoints()
         )
         return combine(self._state.enter(Trigger.START), Output(log=moves + self._arming.disabled_checks))

@@ -196,7 +196,8 @@ def _setpoint(text: str, table: str, name: str, axis: AxisSettings, origin: str)
         check_within(setpoint, name, axis.min_y, axis.max_y, axis.unit)
         check_speed(setpoint, name, axis.limits.max_speed, axis.unit)
     except SetpointError as error:
-        raise SetpointError(f"{origin}: {error}") from None
+        problem = str(error).removeprefix(f"{name}: ")  # The origin names the axis.
+        raise SetpointError(f"{origin}: {problem}") from None
     return setpoint
 
 

@@ -45,7 +45,7 @@ def test_setpoints_of_the_rig_file_that_hil_run_refuses_are_a_warning(
     path.write_text(text.replace('setpoint = "', 'setpoint = "step:9@1" # "', 1))
     assert main(["rig", "--check", str(path)]) == 2
     refusal = capsys.readouterr().err.removeprefix("hil rig: ").strip()
-    assert "rig.toml: axes.vertical.setpoint: vertical: setpoint 'step:9@1' reaches 9 m" in refusal
+    assert "rig.toml: axes.vertical.setpoint: setpoint 'step:9@1' reaches 9 m" in refusal
     assert main(["daemon", "--rig", str(path)]) == 0
     warning = capsys.readouterr().err
     assert warning == f"hil daemon: warning: {refusal}; this daemon holds the position instead\n"

@@ -284,9 +284,10 @@ class TestSetpoints:
     def test_the_start_says_which_axes_will_move(self) -> None:
         gateway = make_stepped(LifeCycleState.ARMED)
         ask(gateway, SetpointRequest("vertical", "0.1"))
-        reply = gateway.operate(Trigger.START).reply
-        assert reply is not None
-        assert "vertical approaches step:0.1@0" in reply.text
+        output = gateway.operate(Trigger.START)
+        assert output.reply is not None
+        assert "vertical approaches step:0.1@0" in output.reply.text
+        assert "setpoint: vertical approaches step:0.1@0" in texts(output)
 
     def test_between_start_and_the_first_sample_nothing_is_approached_yet(self) -> None:
         gateway = make_stepped(LifeCycleState.ARMED)

@@ -162,7 +162,7 @@ class TestRefusals:
 
     def test_a_setpoint_beyond_the_axis(self) -> None:
         assert refusal(None, {}, {"vertical": "step:0.2@1"}) == (
-            "--setpoint vertical: vertical: setpoint 'step:0.2@1' reaches 0.2 m, beyond 0.15 m "
+            "--setpoint vertical: setpoint 'step:0.2@1' reaches 0.2 m, beyond 0.15 m "
             "(rig: axes.vertical.max_y)"
         )
 
@@ -182,7 +182,7 @@ class TestRefusals:
         (tmp_path / "r.csv").write_text("0,0\n1,-0.2\n")
         text = f"csv:{tmp_path / 'r.csv'}"
         assert refusal(None, {}, {"vertical": text}) == (
-            f"--setpoint vertical: vertical: setpoint {text!r} reaches -0.2 m, beyond -0.15 m "
+            f"--setpoint vertical: setpoint {text!r} reaches -0.2 m, beyond -0.15 m "
             "(rig: axes.vertical.min_y)"
         )
 
