@@ -13,9 +13,9 @@ from typing import Self, TypeVar
 
 import msgspec
 
-from hil.core.errors import OperationError, RequestRefusedError
+from hil.core.errors import DocumentError, OperationError, RequestRefusedError
 from hil.core.setpoint_change import MAX_TABLE_CHARACTERS
-from hil.core.setpoints import csv_file
+from hil.core.setpoints import COLUMNS, csv_file
 from hil.host.text_file import MAX_DOCUMENT_BYTES, read_text
 from hil.operation.protocol import (
     MAX_LINE_BYTES,
@@ -323,7 +323,12 @@ def _setpoint_texts(setpoint: float | str) -> tuple[str, str]:
     """Return the text of a setpoint, and that of the file that it names. Raises DocumentError."""
     text = setpoint if isinstance(setpoint, str) else f"step:{float(setpoint)!r}@0"
     file = csv_file(text)
-    return text, "" if file is None else read_text(Path(file), MAX_TABLE_CHARACTERS)
+    if file is None:
+        return text, ""
+    table = read_text(Path(file), MAX_TABLE_CHARACTERS)
+    if not table.strip():
+        raise DocumentError(f"{file}: the file is empty; write one or more rows of {','.join(COLUMNS)}")
+    return text, table
 
 
 def _decode(line: bytes, kind: type[_Kind], path: Path) -> _Kind:

@@ -133,6 +133,10 @@ def test_the_table_of_a_setpoint_is_read_here_and_checked_by_the_server(
     table.write_text("0,0\n1,9\n")
     assert main(["setpoint", f"vertical=csv:{table}", *at]) == 1
     assert "setpoint refused: vertical: setpoint" in capsys.readouterr().err
+    table.write_text("\n")
+    assert main(["setpoint", f"vertical=csv:{table}", *at]) == 2
+    assert "t.csv: the file is empty; write one or more rows of time_s,setpoint" in capsys.readouterr().err
+    table.write_text("0,0\n")
     assert main(["setpoint", "elbow=csv:" + str(table), *at]) == 1
     assert "there is no axis 'elbow'" in capsys.readouterr().err
     assert main(["setpoint", f"vertical=csv:{tmp_path / 'none.csv'}", *at]) == 2
