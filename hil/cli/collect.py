@@ -37,6 +37,7 @@ from hil.core.suggestions import did_you_mean
 from hil.host.command_parser import CommandParser, number
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 from hil.live.address import add_page_options, check_page_options
+from hil.shells.real_bus import check_interface
 from hil.shells.run_plan import Ending, RunPlan
 from hil.shells.run_setup import RunSetup, load_rig, load_setup
 
@@ -418,6 +419,7 @@ def _travel_text(collected: Collected, experiment: Experiment, rig: Rig) -> tupl
 
 def _confirm(experiment: Experiment, bus: str) -> None:
     """Ask before a real axis moves. Raises HilError without a yes."""
+    check_interface(bus)
     if not sys.stdin.isatty():
         raise HilError(
             f"{bus} is a real bus and there is no terminal to ask on; give --yes to move {experiment.axis}"

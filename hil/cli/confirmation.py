@@ -10,7 +10,7 @@ from hil.core.errors import HilError
 from hil.core.output import LogEntry, Severity
 from hil.core.setpoints import Setpoint
 from hil.links.opening import check_name
-from hil.shells.real_bus import is_real
+from hil.shells.real_bus import check_interface, is_real
 from hil.shells.run_setup import RunSetup
 
 
@@ -31,6 +31,7 @@ def confirm_motion(setup: RunSetup, bus: str) -> None:
     The boards are brought up with centred valves to measure the positions.
     """
     check_name(bus)
+    check_interface(bus)
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise HilError(
             f"{bus} may be a real arm and there is no terminal to ask on; give --yes to move "

@@ -11,7 +11,7 @@ from hil.cli import confirmation, main
 from hil.cli.confirmation import confirm_motion, motion_lines
 from hil.core.errors import HilError
 from hil.shells import real_bus
-from hil.shells.real_bus import is_real
+from hil.shells.real_bus import check_interface, is_real
 from hil.shells.run_setup import RunSetup, load_setup
 
 
@@ -64,6 +64,32 @@ def test_each_axis_is_shown_with_position_and_target(setup: RunSetup) -> None:
     assert "now unknown" in motion_lines(setup, None)[0]
 
 
+@pytest.fixture
+def can0(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine with the interface can0."""
+    monkeypatch.setattr(real_bus, "INTERFACES", tmp_path)
+    (tmp_path / "can0").mkdir()
+
+
+@pytest.mark.usefixtures("can0")
+@pytest.mark.parametrize("command", [["run"], ["collect", "--axis", "vertical"]])
+def test_an_interface_that_does_not_exist_is_an_error_before_any_question(
+    command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("yes\n"))
+    assert main([*command, "--bus", "cna0"]) == 2
+    error = capsys.readouterr().err
+    assert "cna0: this machine has no interface cna0; did you mean can0?" in error
+    assert "sudo ip link set cna0 up" in error
+
+
+@pytest.mark.parametrize("bus", ["can0", "socketcan:can0", "slcan:/dev/none", "udp:43113", "inproc:x"])
+@pytest.mark.usefixtures("can0")
+def test_only_missing_interfaces_are_refused(bus: str) -> None:
+    check_interface(bus)
+
+
+@pytest.mark.usefixtures("can0")
 def test_without_a_terminal_the_run_is_refused(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -74,6 +100,7 @@ def test_without_a_terminal_the_run_is_refused(
     assert "give --yes to move vertical, horizontal, rotation" in error
 
 
+@pytest.mark.usefixtures("can0")
 @pytest.mark.parametrize("answer", ["", "no\n", "y\n"])
 def test_any_answer_but_yes_moves_nothing(
     setup: RunSetup, monkeypatch: pytest.MonkeyPatch, answer: str
@@ -88,6 +115,7 @@ def test_any_answer_but_yes_moves_nothing(
     assert "positions are not known" in screen.getvalue()
 
 
+@pytest.mark.usefixtures("can0")
 def test_yes_goes_on(setup: RunSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     screen = Terminal()
     monkeypatch.setattr("sys.stdin", Terminal("Yes\n"))
