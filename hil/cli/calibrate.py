@@ -49,6 +49,7 @@ REST_S = 0.3
 WATCH_S = 0.05
 STEP_V = 0.02
 """Step of the valve's offset, in volts. The centre is interpolated between steps."""
+_HOW_TO_WRITE = "give -o NEW.toml for a new rig file, or --force to change that of --rig"
 DESCRIPTION = """\
 Measure one axis, and write the values into a rig file, with a comment that says where they come from.
 
@@ -99,6 +100,8 @@ def main(argv: list[str]) -> int:
     options = parser().parse_args(argv)
     rig = load_rig(options.rig)
     _check(options, rig)
+    if not (options.output or options.force):
+        sys.stderr.write(f"The values will be printed, but not written: {_HOW_TO_WRITE}.\n")
     try:
         if options.valve:
             part, values, origin = _valve(options, rig)
@@ -139,7 +142,12 @@ def _check(options: argparse.Namespace, rig: Rig) -> None:
             f"{did_you_mean(options.axis, rig.axes)}"
         )
     ends = (options.low, options.high)
-    if options.valve != (ends == (None, None)) or (None in ends and ends != (None, None)):
+    if options.valve and ends != (None, None):
+        raise DocumentError(
+            "--valve and --low, --high do not go together: --valve calibrates the valve, --low and --high "
+            "the potentiometer; give two commands"
+        )
+    if not options.valve and None in ends:
         raise DocumentError(
             "give --low and --high, the positions of both ends, to calibrate the potentiometer; or --valve"
         )
@@ -359,9 +367,7 @@ def _write(
     """Write the values to the file that the user has named. Raises DocumentError."""
     path: Path | None = options.rig if options.force else options.output
     if path is None:
-        sys.stdout.write(
-            "not written: give -o NEW.toml for a new rig file, or --force to change that of --rig\n"
-        )
+        sys.stdout.write(f"not written: {_HOW_TO_WRITE}\n")
         return
     edited = with_values(read_text(options.rig), table, values, origin, str(options.rig))
     read_rig(edited, f"{options.rig} with these values")

@@ -250,6 +250,23 @@ class TestValve:
         assert "the daemon is in a fault: adc: lost" in capsys.readouterr().err
         assert daemon.requests == ["arm", "disarm"]
 
+    @pytest.mark.parametrize("is_written", [False, True])
+    def test_it_says_before_the_axis_moves_that_nothing_will_be_written(
+        self,
+        daemon: Daemon,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+        rig_file: Path,
+        is_written: bool,
+    ) -> None:
+        monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: "no\n"))
+        arguments = [*VALVE[:-1], "--rig", str(rig_file), *(["--force"] if is_written else [])]
+        assert command.main(arguments) == 1
+        error = capsys.readouterr().err
+        assert error.startswith("The values will be printed, but not written: give -o") is not is_written
+        assert "vertical will move to and fro" in error
+        assert daemon.requests == []
+
     def test_it_is_refused_after_a_calibration_without_a_restart_of_the_daemon(
         self, daemon: Daemon, rig_file: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
@@ -293,7 +310,9 @@ class TestValve:
         (["--axis", "vertikal", "--valve"], "--axis vertikal: the axes of the rig are"),
         (["--axis", "vertical"], "give --low and --high"),
         (["--axis", "vertical", "--low", "0"], "give --low and --high"),
-        (["--axis", "vertical", "--low", "0", "--high", "1", "--valve"], "give --low and --high"),
+        (["--axis", "vertical", "--low", "0", "--high", "1", "--valve"], "do not go together"),
+        (["--axis", "vertical", "--low", "0", "--valve"], "do not go together"),
+        (["--axis", "vertical", "--high", "0"], "give --low and --high"),
         (["--axis", "vertical", "--low", "0", "--high", "inf"], "positions must be finite numbers"),
         ([*VALVE, "--force"], "--rig is missing"),
         ([*VALVE, "--rig", "RIG", "-o", "RIG"], "exists already and is kept"),
