@@ -60,7 +60,9 @@ def parse_fault(text: str, source: str | None = None) -> AnyFault:
     source = source or f"--fault {text!r}"
     match = _FORM.fullmatch(text)
     if match is None:
-        raise DocumentError(f"{source}: not a fault; write NAME:VALUES and its time ({WHEN_FORMS}). The forms are: {FORMS}")
+        raise DocumentError(
+            f"{source}: not a fault; write NAME:VALUES and its time ({WHEN_FORMS}). The forms are: {FORMS}"
+        )
     plain: dict[str, Any] = {"when": match["when"] or "", "at_s": float(match["at"] or match["after"] or 0)}
     if match["for"] is not None:
         plain["for_s"] = float(match["for"])

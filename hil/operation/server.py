@@ -51,6 +51,7 @@ from hil.operation.protocol import (
     RigCall,
     SetpointCall,
     SetpointsCall,
+    ShutdownCall,
     Status,
     StatusCall,
     Update,
@@ -61,6 +62,8 @@ from hil.operation.protocol import (
 
 REPLY_TIMEOUT_S = 15.0
 """Longest wait for the loop's reply. Closing a recording on a slow disk takes longest."""
+ENDED = "the daemon ended before it replied"
+"""Answer to requests that the loop has not taken when it ends."""
 LAST_ANSWERS_S = 0.1
 """Time in which the last answers are sent after the loop has ended."""
 BURST_REQUESTS = 50
@@ -112,7 +115,7 @@ class Server:
         server.close()
         for number, future in self._waiting.items():
             if not future.done():
-                future.set_result(Replied(number, False, "the daemon ended before it replied"))
+                future.set_result(Replied(number, False, ENDED))
         await asyncio.sleep(LAST_ANSWERS_S)
         for writer in self._writers:
             writer.transport.abort()
@@ -149,6 +152,8 @@ class Server:
         tables = () if prepared is None or isinstance(prepared, PreparedController) else prepared
         try:
             self._pipe.send(msgspec.msgpack.encode(Asked(number, asked_by, call, controller, tables)))
+        except ConnectionError:
+            return Answer(id=call.id, accepted=isinstance(call, ShutdownCall), text="the daemon has ended")
         except OSError:  # it is full, or the message is too large for it
             return Answer(
                 id=call.id, accepted=False, text="the loop takes no requests at the moment; try again"
@@ -165,6 +170,8 @@ class Server:
             )
         finally:
             del self._waiting[number]
+        if isinstance(call, ShutdownCall) and reply.text == ENDED:
+            return Answer(id=call.id, accepted=True, text="the daemon has ended")
         return Answer(id=call.id, accepted=reply.accepted, text=reply.text)
 
     # The clients' side

@@ -39,6 +39,7 @@ from hil.operation.protocol import (
     ResetCall,
     SetpointCall,
     SetpointsCall,
+    ShutdownCall,
     StartCall,
     Status,
     StopCall,
@@ -196,6 +197,8 @@ class OperatorPort:
 
     def _operate(self, session: Session, asked: Asked) -> Reply:
         if session.plan.ending is not None:
+            if isinstance(asked.call, ShutdownCall):
+                return Reply(True, "the daemon is ending already")
             # A start or a jog now would move a valve after the last commands that centre it.
             reply = Reply(False, "refused: the daemon is ending, with centred valves")
             session.note(LogEntry(Severity.WARNING, "operator", f"{asked.asked_by}: {reply.text}"))

@@ -432,6 +432,21 @@ def test_shutdown_waits_until_the_daemon_has_ended(tmp_path: Path) -> None:
     assert [type(asked.call) for asked in loop.asked] == [ShutdownCall]
 
 
+def test_requests_that_the_loop_does_not_take_before_its_end_are_answered(tmp_path: Path) -> None:
+    """A second shutdown gets what it asked for."""
+    with served(tmp_path) as (loop, path):
+        is_asked = threading.Semaphore(0)
+        loop.reply = lambda _asked: is_asked.release()
+        with RawClient(path) as first, RawClient(path) as second:
+            for client, name in ((first, b"shutdown"), (second, b"arm")):
+                client.read()
+                client.send(b'{"request": "%s", "id": 1}\n' % name)
+                assert is_asked.acquire(timeout=TIMEOUT_S)
+            loop.end.shutdown(2)
+            assert first.read() == {"id": 1, "accepted": True, "text": "the daemon has ended"}
+            assert second.read() == {"id": 1, "accepted": False, "text": server.ENDED}
+
+
 def test_record_new_is_one_request(bench: Bench) -> None:
     loop, path = bench
     with connect(path) as client:
