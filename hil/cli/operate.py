@@ -148,10 +148,12 @@ def _add_controller_arguments(parser: CommandParser) -> None:
 def _set_controllers(client: Client, options: argparse.Namespace) -> str:
     from hil.shells.run_setup import controller_path
 
-    said = []
-    for axis, name in by_axis("", options.controllers, "vertical=hls").items():
-        said.append(client.set_controller(axis, controller_path(name)))
-    return "\n".join(said)
+    given = by_axis("", options.controllers, "vertical=hls")
+    files = {axis: controller_path(name) for axis, name in given.items()}
+    if len(files) > 1:  # None is changed if one is refused.
+        for axis, file in files.items():
+            client.check_controller(axis, file)
+    return "\n".join(f"{axis}: {client.set_controller(axis, file)}" for axis, file in files.items())
 
 
 def _add_jog_arguments(parser: CommandParser) -> None:
@@ -312,8 +314,8 @@ SETPOINT = OperatorCommand(
 )
 CONTROLLER = OperatorCommand(
     "controller",
-    "Change the controllers of axes. In state running, the new controller takes over without a jump of the "
-    "valve.",
+    "Change the controllers of axes, or of none of them if one is refused. In state running, the new "
+    "controller takes over without a jump of the valve.",
     _add_controller_arguments,
     _set_controllers,
 )

@@ -172,9 +172,18 @@ class Client:
 
         Raises DocumentError if the file cannot be read.
         """
+        return self._controller(axis, file, only_check=False)
+
+    def check_controller(self, axis: str, file: str | os.PathLike[str]) -> str:
+        """Check a controller file as :meth:`set_controller` does, and change nothing."""
+        return self._controller(axis, file, only_check=True)
+
+    def _controller(self, axis: str, file: str | os.PathLike[str], only_check: bool) -> str:
         path = Path(file)
         document = read_text(path, MAX_DOCUMENT_BYTES)
-        call = ControllerCall(id=self._next_id(), axis=axis, name=path.name, document=document)
+        call = ControllerCall(
+            id=self._next_id(), axis=axis, name=path.name, document=document, only_check=only_check
+        )
         return self._ask(call).text
 
     def jog(self, axis: str, offset_v: float, duration_s: float) -> str:

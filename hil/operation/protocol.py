@@ -31,7 +31,8 @@ request           keys besides ``id``            effect
                   objects with the keys of       of them if one is refused
                   ``setpoint``
 ``controller``    ``axis``, ``name``,            changes the controller; ``document`` is the text of a
-                  ``document``                   controller file, ``name`` is its name in messages
+                  ``document``,                  controller file, ``name`` is its name in messages. With
+                  ``only_check`` (optional)      ``only_check``, it is checked and nothing is changed
 ``jog``           ``axis``, ``offset_v``,        moves one axis with a constant valve voltage, then centres
                   ``duration_s``                 its valve
 ``event``         ``text``                       something happens to the simulated arm now
@@ -145,7 +146,7 @@ class SetpointsCall(Call, frozen=True, tag="setpoints"):
     setpoints: Annotated[tuple[AxisSetpoint, ...], msgspec.Meta(min_length=1, max_length=MAX_SETPOINTS)]
 
 
-class ControllerCall(Call, frozen=True, tag="controller"):
+class ControllerCall(Call, frozen=True, tag="controller", omit_defaults=True):
     """Change the controller of an axis."""
 
     axis: AxisName
@@ -153,6 +154,8 @@ class ControllerCall(Call, frozen=True, tag="controller"):
     """Name of the controller file, for messages."""
     document: str
     """Text of the controller file."""
+    only_check: bool = False
+    """True to be answered whether the controller fits the axis, without a change."""
 
 
 class JogCall(Call, frozen=True, tag="jog"):

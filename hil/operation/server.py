@@ -256,6 +256,8 @@ class Server:
         except HilError as error:
             self._log_refusal(asked_by, str(error))
             return Answer(id=call.id, accepted=False, text=str(error))
+        if isinstance(call, ControllerCall) and call.only_check:
+            return Answer(id=call.id, accepted=True, text=f"controller {call.name} fits")
         return await self._ask_loop(call, asked_by, prepared)
 
     async def _watch(

@@ -153,6 +153,23 @@ def test_a_controller_is_a_file_or_a_shipped_one(bench: Bench) -> None:
     assert '"hil-controller"' in call.document
 
 
+def test_controllers_of_several_axes_are_all_changed_or_none(
+    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, at = bench
+    broken = tmp_path / "broken.json"
+    broken.write_text("{}")
+    assert main(["controller", "vertical=ppid", f"horizontal={broken}", *at]) == 1
+    assert "controller refused: " in capsys.readouterr().err
+    assert loop.asked == []
+    assert main(["controller", "vertical=ppid", "horizontal=hls", *at]) == 0
+    assert capsys.readouterr().out == "vertical: done\nhorizontal: done\n"
+    assert [asked.call.axis for asked in loop.asked if isinstance(asked.call, ControllerCall)] == [
+        "vertical",
+        "horizontal",
+    ]
+
+
 def test_a_jog_is_one_request_if_it_is_short(bench: Bench) -> None:
     loop, at = bench
     assert main(["jog", "vertical=-0.5", "--for", "0.2s", *at]) == 0
