@@ -356,7 +356,7 @@ def kinds_of_records(content: bytes | bytearray) -> list[str]:
     [
         ("ATTACHMENT", "the attachment rig.toml is damaged"),
         ("CHUNK", "the chunk at byte"),
-        ("METADATA", "damaged: the CRC of bytes 0 to"),
+        ("METADATA", "damaged: the metadata at byte"),
         ("MESSAGE_INDEX", "damaged: the CRC of bytes 0 to"),
         ("STATISTICS", "damaged: the CRC of bytes"),
         ("FOOTER", "damaged: the CRC of bytes"),
