@@ -137,7 +137,9 @@ def test_wrong_options_are_refused_before_anything_moves(
 
 def test_a_real_bus_is_not_moved_without_a_yes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "data.mcap"
-    status = main(["collect", "--axis", "vertical", "--duration", "2", "--bus", "can7", "-o", str(path)])
+    status = main(
+        ["collect", "--axis", "vertical", "--duration", "2", "--bus", "slcan:/dev/ttyACM7", "-o", str(path)]
+    )
     assert status == 2
     assert "no terminal to ask on; give --yes to move vertical" in capsys.readouterr().err
     assert not path.exists()
