@@ -294,7 +294,7 @@ def _mat(path: Path, columns: tuple[str, str, str], sample_time_s: float | None)
 
     try:
         variables = loadmat(path, squeeze_me=True)
-    except NotImplementedError:
+    except NotImplementedError:  # what scipy raises for the HDF5 files of MATLAB 7.3
         raise DocumentError(f"{path}: a file of MATLAB version 7.3; save it with -v7") from None
     except (OSError, ValueError, TypeError, LookupError, MatReadError) as error:
         raise DocumentError(f"{path}: not a MATLAB file: {error}") from None

@@ -181,7 +181,7 @@ def _jog(client: Client, options: argparse.Namespace) -> str:
     left_s = options.duration_s
     while left_s > JOG_SPAN_S:
         client.jog(axis, offset_v, JOG_SPAN_S)
-        time.sleep(JOG_REPEAT_S)
+        time.sleep(JOG_REPEAT_S)  # the pace at which a held jog is asked for again
         before_s, sent_s = sent_s, time.monotonic()
         _refuse_to_jog_on(sent_s - before_s)
         left_s = end_s - sent_s

@@ -55,7 +55,7 @@ def serve(feed: FeedReader, host: str, port: int) -> None:
     sys.stdout.flush()
     is_over = False
     while not is_over:
-        time.sleep(INTERVAL_S)
+        time.sleep(INTERVAL_S)  # The feed wakes no reader, so that the loop makes no system call for it.
         is_over = feed.is_over()  # before the last reading, so that nothing is missed
         publisher.publish(packer.take(feed))
     server.stop()

@@ -53,7 +53,7 @@ def main(arguments: list[str]) -> None:
         is_lasting = time.monotonic() - began_s > MAX_RESTART_DELAY_S
         delay_s = RESTART_DELAY_S if is_lasting else min(2.0 * delay_s, MAX_RESTART_DELAY_S)
         _report(pipe, f"the server of the operator's socket ended ({_cause(status)}); it is started again")
-        time.sleep(delay_s)
+        time.sleep(delay_s)  # A server that ends at once must not take the processor by restarts.
 
 
 def _await_end(child: int) -> int:
