@@ -22,6 +22,7 @@ from collections.abc import Mapping, Sequence
 
 from hil.core.arming import Arming
 from hil.core.axis_loops import AxisLoops, LoopFailure
+from hil.core.axis_requests import Prepared
 from hil.core.board_supervision import BoardSupervision
 from hil.core.board_watch import NmtState
 from hil.core.control_law import ControlLaw
@@ -32,18 +33,19 @@ from hil.core.frames import Frame
 from hil.core.hardware_protection import ENABLE, HardwareProtection
 from hil.core.jog import JogEnd
 from hil.core.jogging import Jogging
-from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger
+from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.operating_state import OperatingState
-from hil.core.operator_requests import OperatorRequests, Prepared
-from hil.core.output import NOTHING, Cycle, LogEntry, LogThrottle, Output, Severity, answer, combine
+from hil.core.operator_requests import OperatorRequests
+from hil.core.output import NOTHING, Cycle, LogEntry, LogThrottle, Output, Severity, combine
 from hil.core.period_clock import PeriodClock
 from hil.core.phase import Phase
 from hil.core.rejections import Rejections
-from hil.core.requests import ArmRequest, ControllerRequest, JogRequest, Reply, Request, SetpointRequest
+from hil.core.requests import Reply, Request, SetpointRequest
 from hil.core.rig import Rig
 from hil.core.sample_guard import Accepted, Rejected, RejectionSeverity, SampleGuard
 from hil.core.setpoint_change import PreparedSetpoint
 from hil.core.setpoints import Setpoint
+from hil.core.stale_periods import StalePeriods
 from hil.core.wire import codec
 
 BUS_OFF = 0x40
@@ -72,15 +74,14 @@ class Gateway:
 
         ``controller_failures`` says, by axis name, why a controller must not run. Arming is then refused.
         """
-        self._stale_limit = rig.adc.stale_after_periods
         self._heartbeat_periods = rig.heartbeat_periods
-        self._calibrated_axis = rig.calibration
         self._clock = PeriodClock(rig.loop.period_ns, first_deadline_ns)
         self._loops = AxisLoops(rig, laws, setpoints, experiment)
         self._guard = SampleGuard(rig)
         self._throttle = LogThrottle()
         self._rejections = Rejections(self._throttle)
         self._state = OperatingState(self._loops.centre, self._throttle)
+        self._stale_periods = StalePeriods(rig, self._state, self._rejections)
         self._boards = BoardSupervision(
             rig, self._state, self._throttle, self._rejections, on_adc_restart=self._guard.restart
         )
@@ -98,8 +99,18 @@ class Gateway:
             circumstances=lambda: self._describe(self._clock.wake_ns),
             enable_problem=self._protection.enable_problem,
         )
-        self._requests = OperatorRequests(rig, self._loops)
         self._arming = Arming(rig, self._loops, self._state, controller_failures or {})
+        self._requests = OperatorRequests(
+            rig,
+            self._loops,
+            self._state,
+            self._protection,
+            self._jogging,
+            self._arming,
+            circumstances=self._describe,
+            on_start=self._forget_phase,
+            on_reset=self._forget_faults,
+        )
         self._foreign_frames = ForeignFrames()
         self.error_frames = 0
         """Number of error frames of the bus, without those that caused a fault."""
@@ -109,7 +120,6 @@ class Gateway:
         self._next_heartbeat_number = 0
         self._has_sample = True
         """True if a good sample has arrived in the present period, and before the first period."""
-        self._stale_periods = 0
         self._reported_phase = Phase.NONE
 
     @property
@@ -205,7 +215,7 @@ class Gateway:
         the table already. It saves time and changes nothing else.
         """
         checked = self._protection.check(now_ns)
-        return combine(checked, self._take_request(request, now_ns, prepared))
+        return combine(checked, self._requests.take(request, now_ns, prepared))
 
     def refuse_setpoint(
         self, request: SetpointRequest, prepared: PreparedSetpoint | None = None
@@ -214,39 +224,7 @@ class Gateway:
 
         With this, a shell gives the setpoints of several axes only if none is refused.
         """
-        if self.fault_reason is not None:
-            return Reply(False, f"{request.axis}: {self._setpoint_in_fault}")
         return self._requests.refuse_setpoint(request, prepared)
-
-    def _take_request(self, request: Request, now_ns: int, prepared: Prepared | None) -> Output:
-        match request:
-            case SetpointRequest() | ControllerRequest():
-                return self._change(request, prepared)
-            case JogRequest():
-                return self._requests.refuse(request) or self._jogging.take(request, now_ns)
-        before = self._state.current
-        output = self._take_trigger(request, now_ns)
-        text = "; ".join(entry.text for entry in output.log)
-        return output._replace(reply=Reply(self._state.current is not before, text))
-
-    def _change(self, request: SetpointRequest | ControllerRequest, prepared: Prepared | None) -> Output:
-        if self.fault_reason is not None and isinstance(request, SetpointRequest):
-            return self._requests.refuse(request) or answer(
-                request.axis, Reply(False, self._setpoint_in_fault)
-            )
-        output = self._requests.change(request, self._is_controlling, prepared)
-        is_accepted = output.reply is not None and output.reply.accepted
-        if is_accepted and isinstance(request, ControllerRequest):
-            self._arming.controller_changed(request.axis)
-        return output
-
-    @property
-    def _setpoint_in_fault(self) -> str:
-        """Refusal of a setpoint in state fault."""
-        return (
-            f"setpoint refused: the state is fault ({self.fault_reason}), and a reset returns to the first "
-            "setpoints; give it after `hil reset`"
-        )
 
     @property
     def overridden_checks(self) -> tuple[str, ...]:
@@ -257,32 +235,6 @@ class Gateway:
     def is_jogging(self) -> bool:
         """True if an operator jogs an axis."""
         return self._jogging.is_active
-
-    @property
-    def _is_controlling(self) -> bool:
-        """True if the controllers act on the valves."""
-        return self._state.current is LifeCycleState.RUNNING and not self._jogging.is_active
-
-    def _take_trigger(self, request: Trigger | ArmRequest, now_ns: int) -> Output:
-        """Take an operator's trigger (arm, start, stop, disarm, reset), or refuse it in the present state."""
-        trigger = Trigger.ARM if isinstance(request, ArmRequest) else request
-        if trigger not in OPERATOR_TRIGGERS or not self._state.allows(trigger):
-            return self._state.refuse(trigger, self._describe(now_ns))
-        if trigger is Trigger.START:
-            return self._start(now_ns)
-        if trigger is Trigger.ARM:
-            return self._arming.arm(request if isinstance(request, ArmRequest) else ArmRequest())
-        if trigger is Trigger.STOP and self._jogging.is_active:
-            self._jogging.await_release(now_ns)
-        changed = self._state.enter(trigger)
-        self._loops.forget_setpoints()  # The next start must not move an axis to an old setpoint.
-        if trigger is Trigger.STOP:
-            return combine(changed, self._centre())
-        if trigger is Trigger.RESET:
-            self._guard.restart()
-            self._rejections.forget_reason()
-            self._throttle.reset()
-        return changed
 
     def command_refused(self, frame: Frame) -> None:
         """Take the shell's report that the bus did not take this valve command, before any other call.
@@ -307,28 +259,15 @@ class Gateway:
         """Stop such a motion because an operator has released the enable switch."""
         return combine(self._state.stop(ENABLE, reason), self._centre())
 
-    def _start(self, now_ns: int) -> Output:
-        """Begin to control, or refuse, such as for a first setpoint outside the envelope."""
-        refusals: list[tuple[str, str]] = list(self._loops.start_refusals())
-        if self._calibrated_axis is not None:
-            text = "this axis is being calibrated (rig: calibration); it can only be jogged"
-            refusals.append((self._calibrated_axis, text))
-        if self.experiment is not None and (problem := self._protection.enable_problem(now_ns)) is not None:
-            refusals.append((ENABLE, problem))
-        if refusals:
-            return Output(
-                log=tuple(
-                    LogEntry(Severity.WARNING, axis, f"start refused: {reason}") for axis, reason in refusals
-                )
-            )
-        self._loops.restart()
-        self._jogging.cancel()
+    def _forget_phase(self) -> None:
+        """Report the phases of the experiment anew, because the controllers take over."""
         self._reported_phase = Phase.NONE
-        moves = tuple(
-            LogEntry(Severity.INFO, "setpoint", f"{axis} approaches {text}")
-            for axis, text in self._loops.requested_setpoints()
-        )
-        return combine(self._state.enter(Trigger.START), Output(log=moves + self._arming.disabled_checks))
+
+    def _forget_faults(self) -> None:
+        """Begin anew with the samples and with what was reported, because an operator resets a fault."""
+        self._guard.restart()
+        self._rejections.forget_reason()
+        self._throttle.reset()
 
     # The end of a period and the beginning of the next
 
@@ -338,31 +277,13 @@ class Gateway:
             return NOTHING
         late = self._report_skipped(skipped, now_ns) if skipped else NOTHING
         ended = NOTHING if self._has_sample else Output(cycle=self._cycle(0, False))
-        return combine(late, ended, self._count_stale_periods(skipped))
+        stale = self._stale_periods.add(skipped + (not self._has_sample), skipped)
+        return combine(late, ended, stale)
 
     def _report_skipped(self, skipped: int, now_ns: int) -> Output:
         late_ms = (now_ns - self._clock.next_deadline_ns) / 1e6
         text = f"woke up {late_ms:.1f} ms late, skipped periods: {skipped}"
         return Output(log=(LogEntry(Severity.WARNING, "loop", text),))
-
-    def _count_stale_periods(self, skipped: int) -> Output:
-        if self._state.current is LifeCycleState.OFFLINE:
-            return NOTHING
-        self._stale_periods += skipped + (not self._has_sample)
-        if self._stale_periods < self._stale_limit:
-            return NOTHING
-        cause = (
-            f"the loop itself missed {skipped} deadlines: other programs or the host took its time; hil "
-            "doctor checks the machine"
-            if skipped
-            else "no TPDO1_ADC arrived: check the board and its cable, or the bus is overloaded: hil monitor "
-            "shows its load"
-        )
-        reason = (
-            f"no good sample for {self._stale_periods} periods, limit {self._stale_limit} "
-            f"(rig: adc.stale_after_periods); last cause: {self._rejections.last_reason or cause}"
-        )
-        return self._state.lose("adc", reason)
 
     def _sync(self, now_ns: int, may_wait: bool) -> Output:
         state = self._state.current
@@ -421,7 +342,7 @@ class Gateway:
 
     def _use_sample(self, sample: Accepted, now_ns: int) -> Output:
         self._has_sample = True
-        self._stale_periods = 0
+        self._stale_periods.restart()
         self._rejections.forget_reason()
         if self._state.current is LifeCycleState.RUNNING:
             return self._control(sample.volts, now_ns)

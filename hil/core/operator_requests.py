@@ -1,129 +1,147 @@
-"""Checks of an operator's requests that change a setpoint or a controller, and the changes themselves."""
+"""Operators' requests: each one is taken or refused, and the reply says what happened, or why not.
+
+The requests of one axis' setpoint or controller are those of ``axis_requests``, and jogs are those of
+``jogging``. This module adds the life cycle's triggers: arm, start, stop, disarm and reset.
+"""
 
 from __future__ import annotations
 
-from hil.core.axis_loops import AxisLoops
-from hil.core.control_law import ControlLaw, Matching
-from hil.core.controller_change import PreparedController, digest_of, prepare_controller
-from hil.core.errors import SetpointError
-from hil.core.output import Output, answer
-from hil.core.requests import ControllerRequest, JogRequest, Reply, SetpointRequest
-from hil.core.rig import Rig
-from hil.core.setpoint_change import PreparedSetpoint, read_request
-from hil.core.suggestions import did_you_mean
+from collections.abc import Callable, Iterator
 
-SMALL_BUMP_V = 1e-6
-"""Change of a valve voltage in V that is not reported: far below the 0.3 mV that a frame can carry."""
-MAX_NAME = 200
-"""Longest name of an axis or of a controller file in a request, in characters."""
-Prepared = PreparedController | PreparedSetpoint
-"""What another process has read and checked for a request."""
-LOOP_NOT_CHECKED = "; the file holds no plant as numbers, so the closed loop was not checked"
+from hil.core.arming import Arming
+from hil.core.axis_loops import AxisLoops
+from hil.core.axis_requests import AxisRequests, Prepared
+from hil.core.hardware_protection import ENABLE, HardwareProtection
+from hil.core.jogging import Jogging
+from hil.core.life_cycle import OPERATOR_TRIGGERS, LifeCycleState, Trigger
+from hil.core.operating_state import OperatingState
+from hil.core.output import LogEntry, Output, Severity, answer, combine
+from hil.core.requests import ArmRequest, ControllerRequest, JogRequest, Reply, Request, SetpointRequest
+from hil.core.rig import Rig
+from hil.core.setpoint_change import PreparedSetpoint
 
 
 class OperatorRequests:
-    """Requests about one axis, checked against the rig file and given to the axis' loop."""
+    """Takes operators' requests in the present state of the life cycle.
 
-    def __init__(self, rig: Rig, loops: AxisLoops) -> None:
-        self._rig = rig
-        self._loops = loops
+    ``circumstances`` describes the boards at a time, for refusals. ``on_start`` and ``on_reset`` are called
+    when the controllers take over, and when an operator resets a fault.
+    """
 
-    def refuse(self, request: SetpointRequest | ControllerRequest | JogRequest) -> Output | None:
-        """Return the refusal of a request for an axis that cannot be operated, or None."""
-        axes = self._rig.axes
-        name = request.axis
-        if name in axes:
-            if not self._loops.is_excited(name):
-                return None
-            return answer(name, Reply(False, "refused: an experiment has this axis until the end of the run"))
-        if len(name) > MAX_NAME:
-            return answer("operator", Reply(False, f"refused: the axis has a name of {len(name)} characters"))
-        text = f"refused: no axis {name!r}; the rig has {', '.join(axes)}{did_you_mean(name, axes)}"
-        return answer("operator", Reply(False, text))
-
-    def change(
+    def __init__(
         self,
-        request: SetpointRequest | ControllerRequest,
-        is_running: bool,
-        prepared: Prepared | None,
-    ) -> Output:
-        """Change a setpoint or a controller, or refuse.
+        rig: Rig,
+        loops: AxisLoops,
+        state: OperatingState,
+        protection: HardwareProtection,
+        jogging: Jogging,
+        arming: Arming,
+        circumstances: Callable[[int], str],
+        on_start: Callable[[], None],
+        on_reset: Callable[[], None],
+    ) -> None:
+        self._calibrated_axis = rig.calibration
+        self._loops = loops
+        self._state = state
+        self._protection = protection
+        self._jogging = jogging
+        self._arming = arming
+        self._circumstances = circumstances
+        self._on_start = on_start
+        self._on_reset = on_reset
+        self._axis_requests = AxisRequests(rig, loops)
 
-        ``is_running`` says whether the axis is under its controller. ``prepared`` is used if it belongs to
-        this request.
+    def take(self, request: Request, now_ns: int, prepared: Prepared | None) -> Output:
+        """Take a request, or refuse it. The output has a ``reply``.
+
+        ``prepared`` is used if it belongs to this request.
         """
-        refusal = self.refuse(request)
-        if refusal is not None:
-            return refusal
-        if isinstance(request, SetpointRequest):
-            table = prepared if isinstance(prepared, PreparedSetpoint) else None
-            return answer(request.axis, self._change_setpoint(request, is_running, table))
-        controller = prepared if isinstance(prepared, PreparedController) else None
-        return answer(request.axis, self._change_controller(request, is_running, controller))
+        match request:
+            case SetpointRequest() | ControllerRequest():
+                return self._change(request, prepared)
+            case JogRequest():
+                return self._axis_requests.refuse(request) or self._jogging.take(request, now_ns)
+        before = self._state.current
+        output = self._take_trigger(request, now_ns)
+        text = "; ".join(entry.text for entry in output.log)
+        return output._replace(reply=Reply(self._state.current is not before, text))
 
     def refuse_setpoint(self, request: SetpointRequest, prepared: PreparedSetpoint | None) -> Reply | None:
-        """Return the refusal of a setpoint, or None if it can be given. Nothing is changed."""
-        refusal = self.refuse(request)
-        if refusal is not None:
-            return refusal.reply
-        try:
-            read_request(request, self._rig, prepared)
-        except SetpointError as error:
-            return _refused_setpoint(error)
-        return None
+        """Return why a setpoint would be refused now, or None. Nothing is changed."""
+        if self._state.fault_reason is not None:
+            return Reply(False, f"{request.axis}: {self._setpoint_in_fault}")
+        return self._axis_requests.refuse_setpoint(request, prepared)
 
-    def _change_setpoint(
-        self, request: SetpointRequest, is_running: bool, prepared: PreparedSetpoint | None
-    ) -> Reply:
-        try:
-            setpoint = read_request(request, self._rig, prepared)
-        except SetpointError as error:
-            return _refused_setpoint(error)
-        self._loops.change_setpoint(request.axis, setpoint, is_running)
-        axis = self._rig.axes[request.axis]
-        limits, unit = axis.operator_limits, axis.unit
-        when = "now" if is_running else "when control starts"
-        return Reply(
-            True,
-            f"setpoint {request.setpoint}, approached {when} with at most {limits.max_speed:g} {unit}/s and "
-            f"{limits.max_acceleration:g} {unit}/s^2",
+    def _change(self, request: SetpointRequest | ControllerRequest, prepared: Prepared | None) -> Output:
+        if self._state.fault_reason is not None and isinstance(request, SetpointRequest):
+            return self._axis_requests.refuse(request) or answer(
+                request.axis, Reply(False, self._setpoint_in_fault)
+            )
+        output = self._axis_requests.change(request, self._is_controlling, prepared)
+        is_accepted = output.reply is not None and output.reply.accepted
+        if is_accepted and isinstance(request, ControllerRequest):
+            self._arming.controller_changed(request.axis)
+        return output
+
+    @property
+    def _setpoint_in_fault(self) -> str:
+        """Refusal of a setpoint in state fault."""
+        return (
+            f"setpoint refused: the state is fault ({self._state.fault_reason}), and a reset returns to the "
+            "first setpoints; give it after `hil reset`"
         )
 
-    def _change_controller(
-        self, request: ControllerRequest, is_running: bool, prepared: PreparedController | None
-    ) -> Reply:
-        if len(request.name) > MAX_NAME or not request.name.isprintable():
-            return Reply(
-                False, f"controller refused: its name must have at most {MAX_NAME} printable characters"
-            )
-        if prepared is None or prepared.digest != digest_of(request, self._rig):
-            prepared = prepare_controller(request, self._rig)
-        if prepared.numbers is None:
-            return Reply(False, f"controller refused: {prepared.refusal}")
-        law = ControlLaw.of_numbers(prepared.numbers, self._rig.loop.period_s)
-        matching = self._loops.change_law(request.axis, law, is_running)
-        text = f"controller {request.name} {self._describe(request.axis, matching)}"
-        return Reply(True, text if prepared.is_loop_checked else text + LOOP_NOT_CHECKED)
+    @property
+    def _is_controlling(self) -> bool:
+        """True if the controllers act on the valves."""
+        return self._state.current is LifeCycleState.RUNNING and not self._jogging.is_active
 
-    def _describe(self, name: str, matching: Matching | None) -> str:
-        """Return how a controller took over, with the size of a bump."""
-        if matching is None:
-            return "acts from the next start on"
-        rate = (
-            f"at most {self._rig.axes[name].valve.max_rate_v_s:g} V/s (rig: axes.{name}.valve.max_rate_v_s)"
+    def _take_trigger(self, request: Trigger | ArmRequest, now_ns: int) -> Output:
+        """Take an operator's trigger (arm, start, stop, disarm, reset), or refuse it in the present state."""
+        trigger = Trigger.ARM if isinstance(request, ArmRequest) else request
+        if trigger not in OPERATOR_TRIGGERS or not self._state.allows(trigger):
+            return self._state.refuse(trigger, self._circumstances(now_ns))
+        if trigger is Trigger.START:
+            return self._start(now_ns)
+        if trigger is Trigger.ARM:
+            return self._arming.arm(request if isinstance(request, ArmRequest) else ArmRequest())
+        if trigger is Trigger.STOP and self._jogging.is_active:
+            self._jogging.await_release(now_ns)
+        changed = self._state.enter(trigger)
+        self._loops.forget_setpoints()  # The next start must not move an axis to an old setpoint.
+        if trigger is Trigger.STOP:
+            return combine(changed, Output((self._loops.centre(),)))
+        if trigger is Trigger.RESET:
+            self._on_reset()
+        return changed
+
+    def _start(self, now_ns: int) -> Output:
+        """Begin to control, or refuse, such as for a first setpoint outside the envelope."""
+        refusals = tuple(
+            LogEntry(Severity.WARNING, source, f"start refused: {reason}")
+            for source, reason in self._start_refusals(now_ns)
         )
-        if abs(matching.jump_v) > SMALL_BUMP_V:
-            return (
-                f"takes over with a bump of {matching.jump_v:+.4g} V, because it has no state that could be "
-                f"matched; {rate}"
-            )
-        if abs(matching.drift_v) > SMALL_BUMP_V:
-            return (
-                f"takes over at the last command; it has no integrator, so its output then moves by "
-                f"{matching.drift_v:+.4g} V with a time constant of {matching.time_constant_s:.3g} s, {rate}"
-            )
-        return "takes over at the last command, without a bump"
+        if refusals:
+            return Output(log=refusals)
+        self._loops.restart()
+        self._jogging.cancel()
+        self._on_start()
+        moves = tuple(
+            LogEntry(Severity.INFO, "setpoint", f"{axis} approaches {text}")
+            for axis, text in self._loops.requested_setpoints()
+        )
+        return combine(self._state.enter(Trigger.START), Output(log=moves + self._arming.disabled_checks))
 
-
-def _refused_setpoint(error: SetpointError) -> Reply:
-    return Reply(False, f"setpoint refused: {error}")
+    def _start_refusals(self, now_ns: int) -> Iterator[tuple[str, str]]:
+        """Yield source and reason of each refusal to start."""
+        yield from self._loops.start_refusals()
+        if self._calibrated_axis is not None:
+            yield (
+                self._calibrated_axis,
+                "this axis is being calibrated (rig: calibration); it can only be jogged",
+            )
+        if self._loops.experiment is None:
+            return
+        problem = self._protection.enable_problem(now_ns)
+        if problem is not None:
+            yield ENABLE, problem

@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from hil.core.axis_requests import Prepared
 from hil.core.errors import LinkError
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
-from hil.core.operator_requests import Prepared
 from hil.core.output import Cycle, LogEntry, LogThrottle, Output, Severity
 from hil.core.requests import ArmRequest, ControllerRequest, JogRequest, Reply, Request
 from hil.core.wire.codec import RPDO1_DAC
