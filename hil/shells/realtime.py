@@ -19,6 +19,7 @@ from typing import NamedTuple
 from hil.core.errors import LinkError
 from hil.core.output import LogEntry, Severity
 from hil.links import Link
+from hil.shells.lead_time import LeadTime
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, StopRequest
 from hil.shells.session import Session
 
@@ -28,8 +29,6 @@ OPERATORS_TURN_NS = 4_000_000
 """Time before each deadline at which operators are served once more. Loops with a shorter period omit it."""
 PUNCTUAL_NS = 20_000
 """Lateness up to which frames are not read again before a deadline, because polling has just read them."""
-REHEARSAL_NS = 200_000
-"""Time for a rehearsal. It begins so much before the polling; a wake-up that is later omits it."""
 MAX_SAMPLE_POLL_SHARE = 4
 """The loop polls for a sample during at most one such part of the time until the next deadline."""
 CENTRING_TIMEOUT_NS = 1_000_000_000
@@ -44,11 +43,6 @@ class Polling(NamedTuple):
     """Longest time after SYNC, in state running."""
     rehearse: Callable[[], None] | None = None
     """Called before each deadline, to fill the processor's caches. It must neither wait nor fail."""
-
-    @property
-    def lead_ns(self) -> int:
-        """Time before a deadline at which the loop must be awake."""
-        return self.before_deadline_ns + (REHEARSAL_NS if self.rehearse is not None else 0)
 
 
 NO_POLLING = Polling()
@@ -69,10 +63,11 @@ def run(
     Returns the internal error, for a report, or None. It is a defect of this program or of a library.
     """
     unreadable = _UnreadableFrames(session, link)
+    lead = LeadTime(polling.before_deadline_ns, polling.rehearse is not None)
     while not session.plan.is_over:
         try:
             if serve_operators is None or not _await_operators_turn(session, link):
-                _step(session, link, polling)
+                _step(session, link, polling, lead)
             unreadable.report()
             if serve_operators is not None:
                 serve_operators(session)
@@ -116,15 +111,15 @@ def _await_operators_turn(session: Session, link: Link) -> bool:
     return True
 
 
-def _step(session: Session, link: Link, polling: Polling) -> None:
+def _step(session: Session, link: Link, polling: Polling, lead: LeadTime) -> None:
     """Take one frame that arrives before the next deadline, or serve the deadline."""
     deadline_ns = session.gateway.next_deadline_ns
     remaining_ns = deadline_ns - monotonic_ns()
     # After the timeout, polling begins at once: a way through the caller would take 50 us with cold caches.
-    if remaining_ns > polling.lead_ns and _receive(session, link, (remaining_ns - polling.lead_ns) * 1e-9):
+    if remaining_ns > lead.ns and _receive(session, link, (remaining_ns - lead.ns) * 1e-9):
         return
-    if polling.rehearse is not None and deadline_ns - monotonic_ns() > polling.before_deadline_ns:
-        polling.rehearse()
+    if polling.rehearse is not None:
+        _rehearse(polling.rehearse, lead, deadline_ns)
     now_ns = _poll(session, link, deadline_ns)
     if now_ns - deadline_ns > PUNCTUAL_NS:
         for _ in range(MAX_WAITING_FRAMES):
@@ -134,6 +129,16 @@ def _step(session: Session, link: Link, polling: Polling) -> None:
     session.on_deadline(now_ns)
     if polling.for_sample_ns > 0:
         _poll_for_sample(session, link, now_ns, polling.for_sample_ns)
+
+
+def _rehearse(rehearse: Callable[[], None], lead: LeadTime, deadline_ns: int) -> None:
+    """Rehearse a period, unless it would not be over before the deadline."""
+    began_ns = monotonic_ns()
+    if deadline_ns - began_ns <= lead.rehearsal_ns:
+        lead.omitted()
+        return
+    rehearse()
+    lead.measured(monotonic_ns() - began_ns)
 
 
 def _poll_for_sample(session: Session, link: Link, sync_ns: int, for_sample_ns: int) -> None:

@@ -28,7 +28,8 @@ from hil.recording.entries import DeadlineCalled, FrameReceived, FrameRefused, F
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder, RunHeader
 from hil.shells import realtime
-from hil.shells.realtime import NO_POLLING, REHEARSAL_NS, Polling
+from hil.shells.lead_time import FIRST_REHEARSAL_NS, MAX_REHEARSAL_NS
+from hil.shells.realtime import NO_POLLING, Polling
 from hil.shells.replay import verify
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
 from hil.shells.run_setup import RunSetup, load_setup
@@ -325,32 +326,65 @@ class TestPolling:
         assert waited.now_ns <= calls[late].now_ns
         assert verify(recording).frames_compared == polling_bench.link.sent
 
-    def test_a_rehearsal_precedes_each_deadline_and_does_not_delay_it(self, polling_bench: Bench) -> None:
+    def leads_ns(self, recording: Recording, began_ns: list[int]) -> np.ndarray:
+        """Return for each deadline the time since the last rehearsal began."""
+        deadlines_ns = recording.timing()["deadline_ns"]
+        before = np.searchsorted(began_ns, deadlines_ns) - 1
+        assert before.min() >= 0
+        leads: np.ndarray = deadlines_ns - np.array(began_ns)[before]
+        return leads
+
+    def rehearse_for(self, bench: Bench, durations_ns: Callable[[int], int]) -> list[int]:
+        """Rehearse for ``durations_ns(number of SYNC frames)``. Return the list of the times of beginning."""
         began_ns: list[int] = []
 
         def rehearse() -> None:
-            began_ns.append(polling_bench.clock.now_ns)
-            polling_bench.clock.now_ns += REHEARSAL_NS
+            began_ns.append(bench.clock.now_ns)
+            bench.clock.now_ns += durations_ns(bench.link.syncs)
 
-        polling_bench.polling = Polling(self.POLL_NS, rehearse=rehearse)
+        bench.polling = Polling(self.POLL_NS, rehearse=rehearse)
+        return began_ns
+
+    @pytest.mark.parametrize("duration_ns", [50_000, FIRST_REHEARSAL_NS, MAX_REHEARSAL_NS - 20_000])
+    def test_a_rehearsal_precedes_each_deadline_and_does_not_delay_it(
+        self, polling_bench: Bench, duration_ns: int
+    ) -> None:
+        began_ns = self.rehearse_for(polling_bench, lambda _syncs: duration_ns)
         recording = polling_bench.run()
         assert polling_bench.plan.ending is Ending.COMPLETED
-        assert self.lateness_ns(recording).max() <= self.READING_NS
-        deadlines_ns = recording.timing()["deadline_ns"]
-        assert len(began_ns) >= len(deadlines_ns)
-        leads_ns = deadlines_ns - np.array(began_ns)[: len(deadlines_ns)]
-        assert leads_ns.min() >= REHEARSAL_NS + self.POLL_NS - 5 * self.READING_NS
+        assert self.lateness_ns(recording)[1:].max() <= self.READING_NS
+        leads_ns = self.leads_ns(recording, began_ns)
+        assert leads_ns.max() < PERIOD_NS, "each deadline has a rehearsal of its own"
+        assert leads_ns[1:].min() >= duration_ns + self.POLL_NS - 6 * self.READING_NS
         assert verify(recording).frames_compared == polling_bench.link.sent
+
+    def test_the_loop_wakes_up_later_once_rehearsals_are_short(self, polling_bench: Bench) -> None:
+        began_ns = self.rehearse_for(polling_bench, lambda syncs: FIRST_REHEARSAL_NS if syncs < 5 else 50_000)
+        leads_ns = self.leads_ns(polling_bench.run(), began_ns)
+        assert leads_ns[-1] < 0.7 * leads_ns[0]
+        assert leads_ns[-1] >= 50_000 + self.POLL_NS
 
     def test_a_late_wake_up_omits_the_rehearsal(self, polling_bench: Bench) -> None:
         rehearsed_after: list[int] = []
         polling_bench.polling = Polling(
             self.POLL_NS, rehearse=lambda: rehearsed_after.append(polling_bench.link.syncs)
         )
-        polling_bench.link.wakes_late_ns = {50: REHEARSAL_NS + 10_000}
+        polling_bench.link.wakes_late_ns = {50: self.POLL_NS + 10_000}
         recording = polling_bench.run()
         assert self.lateness_ns(recording).max() <= self.READING_NS
         assert [sync for sync in range(60) if sync not in rehearsed_after] == [50]
+
+    def test_a_stalled_rehearsal_delays_one_deadline_and_omits_the_next_rehearsals(
+        self, polling_bench: Bench
+    ) -> None:
+        stall_ns = 3 * MAX_REHEARSAL_NS // 2
+        began_ns = self.rehearse_for(polling_bench, lambda syncs: stall_ns if syncs == 10 else 50_000)
+        recording = polling_bench.run()
+        late_ns = self.lateness_ns(recording)
+        assert sum(late_ns > self.READING_NS) == 1
+        is_omitted = self.leads_ns(recording, began_ns) > PERIOD_NS
+        assert is_omitted[15]
+        assert not is_omitted[-20:].any()
 
     @pytest.mark.parametrize(("answer_after_ns", "is_polled"), [(400_000, True), (1_500_000, False)])
     def test_the_loop_polls_for_the_sample_for_a_limited_time(
