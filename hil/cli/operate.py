@@ -28,10 +28,10 @@ JOG_REPEAT_S = 0.1
 """Time from one part of a long jog to the next."""
 MIN_JOG_S = 0.01
 """Shortest last part of a long jog."""
-STATUS_S = 0.1
-"""Time between two looks at the daemon's status, which is at most as old."""
+WATCH_INTERVAL_S = 0.05
+"""Time from one status to the next while this command waits for the end of a jog."""
 END_TIMEOUT_S = 1.0
-"""Longest wait for the state that follows a jog."""
+"""Longest wait for another state once a jog should be over. If none comes, somebody else moves the arm."""
 MAX_JOG_S = 10.0
 """Longest jog of one command."""
 
@@ -187,12 +187,23 @@ def _jog(client: Client, options: argparse.Namespace) -> str:
         left_s = end_s - sent_s
     last_s = max(left_s, MIN_JOG_S)
     client.jog(axis, offset_v, last_s)
-    # The jog ends by time, and a status may be STATUS_S old.
-    time.sleep(last_s + STATUS_S)
-    end_s = time.monotonic() + END_TIMEOUT_S
-    while (now := _status(client)) is not None and now.state == "running" and time.monotonic() < end_s:
-        time.sleep(STATUS_S)
-    return _describe_jog(axis, before, now)
+    return _describe_jog(axis, before, _status_after_jog(client, last_s))
+
+
+def _status_after_jog(client: Client, left_s: float) -> Status | None:
+    """Wait until the state is no longer running, and return the status then; None if there is no status.
+
+    Waits at most ``left_s``, the rest of the jog, and ``END_TIMEOUT_S``. Raises OperationError if the daemon
+    ends meanwhile. The daemon publishes the state running before it accepts a jog, so that a status from
+    before the jog is not taken for its end.
+    """
+    end_s = time.monotonic() + left_s + END_TIMEOUT_S
+    if _status(client) is None:
+        return None
+    for now in client.watch(WATCH_INTERVAL_S):
+        if now.state != "running" or time.monotonic() >= end_s:
+            return now
+    return _status(client)
 
 
 def _refuse_to_jog_on(pause_s: float) -> None:
