@@ -10,10 +10,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.core.check_names import OVERRIDE_HELP
 from hil.core.errors import DocumentError, HilError
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser, number
+from hil.host.command_parser import CommandParser, add_override_option, number
 
 if TYPE_CHECKING:
     from design.tuning import Job
@@ -65,14 +64,7 @@ def parser() -> CommandParser:
     where.add_argument("--lockstep", action="store_true", help="the simulated arm, in simulated time")
     command.add_argument("--out", type=Path, metavar="DIR", help="results (default tuning/AXIS)")
     command.add_argument("--yes", action="store_true", help="do not ask before the axis moves")
-    command.add_argument(
-        "--override",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="CHECK",
-        help=OVERRIDE_HELP,
-    )
+    add_override_option(command)
     return command
 
 

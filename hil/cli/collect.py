@@ -22,7 +22,7 @@ from firmware_sim.simulated_plant import plant_texts
 from hil.cli.axis_values import by_axis
 from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.record_path import create_folder_of, recording_path
-from hil.cli.run import add_override_option, chosen_bus, duration_argument
+from hil.cli.run import chosen_bus, duration_argument
 from hil.cli.run_parts import SIMULATED
 from hil.core.check_names import check_overrides
 from hil.core.documents import to_json
@@ -34,7 +34,7 @@ from hil.core.phase import Phase
 from hil.core.rig import Rig
 from hil.core.setpoints import HOLD
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser, number
+from hil.host.command_parser import CommandParser, add_override_option, number
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 from hil.live.address import add_page_options, check_page_options
 from hil.shells.real_bus import check_interface

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.cli.axis_values import by_axis
-from hil.core.check_names import OVERRIDE_HELP
 from hil.core.errors import DocumentError, OperationError, RequestRefusedError
 from hil.core.setpoints import FORMS
-from hil.host.command_parser import CommandParser, number
+from hil.host.command_parser import CommandParser, add_override_option, number
 from hil.operation.client import Client, connect
 from hil.operation.protocol import AxisStatus, Status
 
@@ -263,10 +262,6 @@ def _add_event_arguments(parser: CommandParser) -> None:
     parser.add_argument("event", metavar="EVENT", help="such as payload:3 or stuck-spool:vertical")
 
 
-def _add_arm_arguments(parser: CommandParser) -> None:
-    parser.add_argument("--override", nargs="+", default=[], metavar="CHECK", help=OVERRIDE_HELP)
-
-
 def _add_record_arguments(parser: CommandParser) -> None:
     parser.add_argument(
         "what",
@@ -285,7 +280,7 @@ ARM = OperatorCommand(
     "Allow motion: the daemon goes from ready to armed. The valves stay centred until `hil start`. The "
     "daemon refuses if a check fails: a right that the rig requires of this machine, a position outside the "
     "envelope, or a controller whose loop is unstable. The refusal names each failed check.",
-    _add_arm_arguments,
+    add_override_option,
     lambda client, options: client.arm(options.override),
     "An override holds until the next disarm or fault. It is logged as a warning, shown by `hil status`, and "
     "recorded with who gave it.",
