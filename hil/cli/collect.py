@@ -424,8 +424,9 @@ def _confirm(experiment: Experiment, bus: str) -> None:
         raise HilError(
             f"{bus} is a real bus and there is no terminal to ask on; give --yes to move {experiment.axis}"
         )
-    answer = input(
+    sys.stdout.write(
         f"{experiment.axis} on {bus} will move as predicted. Is its range free of people? Type yes: "
     )
-    if answer.strip().lower() != "yes":
+    sys.stdout.flush()
+    if sys.stdin.readline().strip().lower() != "yes":
         raise HilError("not confirmed; nothing was moved")
