@@ -44,7 +44,7 @@ def main(argv: list[str] | None = None) -> int:
             raise DocumentError(
                 "--watch shows the pneumatic arm and no linear model; omit it, or omit --linear and --plant"
             )
-        bus, spec = _open(options.bus)
+        bus, spec = _open(options.bus, rig.bus.bit_rate)
     except HilError as error:
         return _report(error, 2)
     with contextlib.closing(bus):
@@ -112,7 +112,7 @@ def _read_rig(path: Path | None) -> Rig:
     return read_rig(read_text(path), str(path))
 
 
-def _open(spec: str) -> tuple[Bus, str]:
+def _open(spec: str, bit_rate: int | None) -> tuple[Bus, str]:
     """Open the bus. Returns it with the name by which a gateway joins it."""
     if spec == PTY:
         from firmware_sim.serial_device import SerialDevice
@@ -121,7 +121,7 @@ def _open(spec: str) -> tuple[Bus, str]:
         return device, f"slcan:{device.path}"
     from hil.links import open_link
 
-    return open_link(spec), spec
+    return open_link(spec, bit_rate), spec
 
 
 def _description(rig: Rig, plant_text: str, spec: str) -> str:

@@ -230,7 +230,7 @@ class Ends:
 
 def _potentiometer(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float], str]:
     samples: list[tuple[float, ...]] = []
-    with open_link(bus_to_hear(options, rig)) as link:
+    with open_link(bus_to_hear(options, rig), rig.bus.bit_rate) as link:
         clock_ns = time.monotonic_ns
         monitor = Monitor(link, rig, BIT_RATE, sends_sync=True, clock_ns=clock_ns, on_sample=samples.append)
         ends = Ends(monitor, rig, options.axis, samples, enter_pressed, clock_ns)

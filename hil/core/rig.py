@@ -97,7 +97,8 @@ class Bus(Document, frozen=True):
     bit_rate: BitRate | None = None
     """Bit rate in bit/s. Simulated time then has a bus model, in which frames take time and wait.
 
-    None: frames in simulated time arrive at once. A real bus has the bit rate of its interface.
+    A serial adapter (slcan) is set to it. The interface of any other real bus has a bit rate of its own.
+    None: frames in simulated time arrive at once, and a serial adapter is set to 500 kbit/s.
     """
 
 
