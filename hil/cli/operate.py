@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.cli.axis_values import by_axis
-from hil.core.errors import DocumentError, OperationError, RequestRefusedError
+from hil.core.errors import ConnectionLostError, DocumentError, OperationError, RequestRefusedError
 from hil.core.setpoints import FORMS
 from hil.host.command_parser import CommandParser, add_override_option, number
-from hil.operation.client import Client, connect
+from hil.operation.client import Client, await_end, connect
 from hil.operation.protocol import AxisStatus, Status
 
 JOG_SPAN_S = 0.3
@@ -44,6 +44,8 @@ class OperatorCommand(NamedTuple):
     ask: Callable[[Client, argparse.Namespace], str]
     """Sends the requests, and returns what happened, for the user."""
     epilog: str = ""
+    after_loss: Callable[[Path | None], str] = lambda _path: ""
+    """Returns what happened if the daemon at a socket closed the connection; nothing if that is an error."""
 
     def parser(self) -> CommandParser:
         """Return the parser of the command's arguments."""
@@ -59,8 +61,10 @@ class OperatorCommand(NamedTuple):
             with connect(options.socket) as client:
                 said = self.ask(client, options)
         except OperationError as error:
-            sys.stderr.write(f"hil {self.name}: {error}\n")
-            return 1
+            said = self.after_loss(options.socket) if isinstance(error, ConnectionLostError) else ""
+            if not said:
+                sys.stderr.write(f"hil {self.name}: {error}\n")
+                return 1
         sys.stdout.write(f"{said}\n")
         return 0
 
@@ -275,6 +279,10 @@ def _record(client: Client, options: argparse.Namespace) -> str:
     return client.record_new() if options.what == "new" else client.record_stop()
 
 
+def _ended_already(path: Path | None) -> str:
+    return "the daemon was already shutting down, and has ended" if await_end(path) else ""
+
+
 ARM = OperatorCommand(
     "arm",
     "Allow motion: the daemon goes from ready to armed. The valves stay centred until `hil start`. The "
@@ -305,8 +313,12 @@ RESET = _simple(
         "state is ready"
     ),
 )
-SHUTDOWN = _simple(
-    "shutdown", "End the daemon: it centres the valves and closes the recording.", Client.shutdown
+SHUTDOWN = OperatorCommand(
+    "shutdown",
+    "End the daemon: it centres the valves and closes the recording.",
+    _no_arguments,
+    lambda client, _: client.shutdown(),
+    after_loss=_ended_already,
 )
 SETPOINT = OperatorCommand(
     "setpoint",

@@ -23,6 +23,7 @@ from hil.operation.peer import check_peer
 from hil.operation.pipe import MAX_MESSAGE_BYTES, Asked, Facts, FromLoop, Logged, Replied, StatusNow
 from hil.operation.places import Place, Places
 from hil.operation.protocol import (
+    ALREADY_SHUTTING_DOWN,
     MAX_CONNECTIONS,
     MAX_LINE_BYTES,
     MAX_REQUESTS_PER_S,
@@ -81,6 +82,8 @@ class Server:
         self._checks = RequestChecks(facts)
         self._throttle = LogThrottle()
         self._has_loop_ended = asyncio.Event()
+        self._is_shutting_down = False
+        """True after the loop's answer to ``shutdown``. It takes no request while it closes the recording."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._writers: set[asyncio.StreamWriter] = set()
 
@@ -151,8 +154,10 @@ class Server:
             )
         finally:
             del self._waiting[number]
-        if isinstance(call, ShutdownCall) and reply.text == ENDED:
-            return Answer(id=call.id, accepted=True, text="the daemon has ended")
+        if isinstance(call, ShutdownCall):
+            if reply.text == ENDED:
+                return Answer(id=call.id, accepted=True, text="the daemon has ended")
+            self._is_shutting_down = reply.accepted
         return Answer(id=call.id, accepted=reply.accepted, text=reply.text)
 
     # The clients' side
@@ -229,6 +234,8 @@ class Server:
             return Answer(id=call.id, accepted=True, text=self._status.state, status=self._status)
         if isinstance(call, RigCall):
             return Answer(id=call.id, accepted=True, text=self._facts.rig)
+        if isinstance(call, ShutdownCall) and self._is_shutting_down:
+            return Answer(id=call.id, accepted=True, text=ALREADY_SHUTTING_DOWN)
         try:
             prepared = None
             if isinstance(call, CheckedCall):
@@ -262,6 +269,7 @@ class Server:
             line = LogLine(time.time_ns(), int(Severity.WARNING), "operator", text)
             with contextlib.suppress(OSError):
                 self._pipe.send(msgspec.msgpack.encode(Logged(line)))
+
 
 def _evict(writer: asyncio.StreamWriter) -> None:
     """Disconnect a client whose place another process gets."""

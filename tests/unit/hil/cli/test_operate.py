@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.ending_daemon import ending
 from support.operation_bench import MadeUpLoop, served, status
 
 from hil.cli import OPERATION, command_module, main, operate
@@ -283,6 +284,17 @@ def test_a_jog_that_was_paused_does_not_begin_again(
     assert main(["jog", "vertical=0.5", "--for", "9s", *at]) == 1
     assert "paused for 3600.0 s and the axis has stopped" in capsys.readouterr().err
     assert sum(isinstance(asked.call, JogCall) for asked in loop.asked) == 3
+
+
+def test_a_shutdown_of_a_daemon_that_ends_meanwhile_is_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with ending(tmp_path / "s") as path:
+        assert main(["shutdown", "--socket", str(path)]) == 0
+    assert capsys.readouterr().out == "the daemon was already shutting down, and has ended\n"
+    with ending(tmp_path / "s") as path:
+        assert main(["arm", "--socket", str(path)]) == 1
+    assert capsys.readouterr().err == f"hil arm: {path}: the daemon closed the connection\n"
 
 
 def test_an_event_is_checked_by_the_daemon(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:

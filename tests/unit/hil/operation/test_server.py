@@ -447,6 +447,17 @@ def test_requests_that_the_loop_does_not_take_before_its_end_are_answered(tmp_pa
             assert second.read() == {"id": 1, "accepted": False, "text": server.ENDED}
 
 
+def test_a_second_shutdown_is_answered_while_the_recording_is_closed(bench: Bench) -> None:
+    """The loop takes no requests then."""
+    loop, path = bench
+    with RawClient(path) as first, RawClient(path) as second:
+        for client, text in ((first, "done"), (second, "the daemon is already shutting down")):
+            client.read()
+            client.send(b'{"request": "shutdown", "id": 1}\n')
+            assert client.read() == {"id": 1, "accepted": True, "text": text}
+    assert len(loop.asked) == 1
+
+
 def test_record_new_is_one_request(bench: Bench) -> None:
     loop, path = bench
     with connect(path) as client:
