@@ -10,10 +10,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.core.check_names import OVERRIDE_HELP
 from hil.core.errors import DocumentError, HilError
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser, number
+from hil.host.command_parser import CommandParser, add_override_option, number
 
 if TYPE_CHECKING:
     from design.tuning import Job
@@ -64,15 +63,8 @@ def parser() -> CommandParser:
     where.add_argument("--bus", metavar="BUS", help="bus of the boards")
     where.add_argument("--lockstep", action="store_true", help="the simulated arm, in simulated time")
     command.add_argument("--out", type=Path, metavar="DIR", help="results (default tuning/AXIS)")
-    command.add_argument("--yes", action="store_true", help="do not ask before the axis moves")
-    command.add_argument(
-        "--override",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="CHECK",
-        help=OVERRIDE_HELP,
-    )
+    command.add_argument("--yes", action="store_true", help="do not ask before each motion on a bus")
+    add_override_option(command)
     return command
 
 
@@ -118,6 +110,7 @@ def _tune(options: argparse.Namespace) -> int:
         )
     job = _job(options)
     tuning.check(job)
+    _check_terminal(options)
     directory: Path = options.out or Path("tuning") / job.axis
     resumed = tuning.claim_folder(directory, job)
 
@@ -187,9 +180,18 @@ def _job(options: argparse.Namespace) -> Job:
     )
 
 
+def _check_terminal(options: argparse.Namespace) -> None:
+    """Raise HilError if questions must be asked on a bus, and there is no terminal for them."""
+    if options.bus is not None and not options.yes and not sys.stdin.isatty():
+        raise HilError(
+            f"each motion on {options.bus} must be confirmed, and there is no terminal to ask on; give --yes "
+            f"to move {options.axis} without questions"
+        )
+
+
 def _confirm(question: str) -> None:
     """Ask for a yes. Raises HilError without one."""
-    if not sys.stdin.isatty():
-        raise HilError("there is no terminal to ask on; give --yes to let the axis move")
-    if input(f"{question} Type yes to go on: ").strip().lower() != "yes":
+    sys.stdout.write(f"{question} Type yes: ")
+    sys.stdout.flush()
+    if sys.stdin.readline().strip().lower() != "yes":
         raise HilError("not confirmed; nothing more is moved. The same command goes on from here")

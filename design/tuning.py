@@ -196,18 +196,24 @@ def collect(job: Job, directory: Path, say: Say, ask: Ask) -> list[tuple[Conditi
     found = []
     for condition in job.conditions:
         paths = [directory / f"{condition.name}-{seed}.mcap" for seed in (ESTIMATION_SEED, VALIDATION_SEED)]
-        missing = [path for path in paths if not path.exists()]
-        if missing and job.bus is not None:
-            show([*collect_command(job, condition, ESTIMATION_SEED), "--dry-run"])
-            ask(f"Condition {condition.name}. {condition.instruction} Then {job.axis} will be excited.")
         for path, seed in zip(paths, (ESTIMATION_SEED, VALIDATION_SEED), strict=True):
-            if path in missing:
-                say(f"{condition.name}: exciting {job.axis}, {job.duration_s:g} s, seed {seed}")
-                run_experiment(path, collect_command(job, condition, seed))
-            else:
+            if path.exists():
                 say(f"{condition.name}: {path.name} is there already")
+                continue
+            command = collect_command(job, condition, seed)
+            if job.bus is not None:
+                show([*command, "--dry-run"])
+                ask(_question(job, condition, f"will be excited for {job.duration_s:g} s, as predicted"))
+            say(f"{condition.name}: exciting {job.axis}, {job.duration_s:g} s, seed {seed}")
+            run_experiment(path, command)
         found.append((condition, paths[0], paths[1]))
     return found
+
+
+def _question(job: Job, condition: Condition, motion: str) -> str:
+    """Return the question before a motion of the axis. ``motion`` says what it will do."""
+    parts = (f"Condition {condition.name}.", condition.instruction, f"{job.axis} on {job.bus} {motion}.")
+    return " ".join((*filter(None, parts), "Is its range free of people?"))
 
 
 def identify(
@@ -313,15 +319,18 @@ def verify(
         # Named after the controller, so that a step with an earlier one is not taken for it.
         path = directory / f"{condition.name}-step-{_digest(controller)}.mcap"
         if not path.exists():
+            unit = model.plant.output_unit
+            half = 0.5 * (job.step if job.step is not None else DEFAULT_STEP[unit])
+            low, high = condition.centre - half, condition.centre + half
+            start = start_position(job, condition, directory)
             if job.bus is not None:
-                what = f"Then the new controller will step {job.axis}."
-                ask(f"Condition {condition.name}. {condition.instruction} {what}")
+                path_text = (
+                    f"from {start:.4g} {unit} to {low:g} {unit}, and will then step to {high:g} {unit}"
+                )
+                ask(_question(job, condition, f"will move with the new controller {path_text}"))
             say(f"{condition.name}: stepping {job.axis} with the new controller")
-            half = 0.5 * (job.step if job.step is not None else DEFAULT_STEP[model.plant.output_unit])
             settling_s = requirements.specifications.settling_s or DEFAULT_SETTLING_S
             setpoint = directory / f"{condition.name}-step.csv"
-            start = start_position(job, condition, directory)
-            low, high = condition.centre - half, condition.centre + half
             setpoint.write_text(step_setpoint(start, low, high, settling_s), encoding="utf-8")
             run_experiment(path, step_command(job, condition, controller, setpoint, settling_s))
         measured = last_step(open_recording(path).axis(job.axis))

@@ -125,8 +125,8 @@ def run_experiment(path: Path, command: list[str]) -> None:
     for left in (partial, plot):
         left.unlink(missing_ok=True)
     target = ["-o" if command[0] == "collect" else "--record", str(partial)]
-    yes = ["--yes"] if command[0] == "collect" else []
-    status, said = _run([*command, *target, *yes], captured="--lockstep" in command)
+    # The tuning itself has asked, or was told not to.
+    status, said = _run([*command, *target, "--yes"], captured="--lockstep" in command)
     if status != 0:
         raise ExperimentError(
             f"`hil {' '.join(command)}` ended with exit status {status}; its recording is {partial}"

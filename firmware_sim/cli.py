@@ -31,8 +31,9 @@ BOARDS_PRIORITY = 20
 def main(argv: list[str] | None = None) -> int:
     """Run ``firmware-sim``. Returns the exit status: 2 for wrong input, 1 for a failure while running."""
     options = parser().parse_args(argv)
+    stop = _Stop()
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, _exit)
+        signal.signal(number, stop.exit)
     try:
         if options.parent_pid is not None:
             _die_with(options.parent_pid)
@@ -44,14 +45,14 @@ def main(argv: list[str] | None = None) -> int:
             raise DocumentError(
                 "--watch shows the pneumatic arm and no linear model; omit it, or omit --linear and --plant"
             )
-        bus, spec = _open(options.bus)
+        bus, spec = _open(options.bus, rig.bus.bit_rate)
     except HilError as error:
         return _report(error, 2)
     with contextlib.closing(bus):
         try:
             print(_description(rig, plant_text, spec), flush=True)
             _take_priority()
-            simulate(boards, bus, _watch(boards, plant, options))
+            simulate(boards, bus, _watch(boards, plant, options), stop.is_asked)
         except HilError as error:
             return _report(error, 1)
     return 0
@@ -112,7 +113,7 @@ def _read_rig(path: Path | None) -> Rig:
     return read_rig(read_text(path), str(path))
 
 
-def _open(spec: str) -> tuple[Bus, str]:
+def _open(spec: str, bit_rate: int | None) -> tuple[Bus, str]:
     """Open the bus. Returns it with the name by which a gateway joins it."""
     if spec == PTY:
         from firmware_sim.serial_device import SerialDevice
@@ -121,7 +122,7 @@ def _open(spec: str) -> tuple[Bus, str]:
         return device, f"slcan:{device.path}"
     from hil.links import open_link
 
-    return open_link(spec), spec
+    return open_link(spec, bit_rate), spec
 
 
 def _description(rig: Rig, plant_text: str, spec: str) -> str:
@@ -146,8 +147,24 @@ def _die_with(parent_pid: int) -> None:
         )
 
 
-def _exit(*_signal: object) -> None:
-    raise SystemExit(0)
+class _Stop:
+    """The end of the program at a signal.
+
+    The interpreter discards an exception that a handler raises within a callback, such as one of the import
+    system while a module is loaded. Then the simulation ends when it asks.
+    """
+
+    def __init__(self) -> None:
+        self._is_asked = False
+
+    def exit(self, *_signal: object) -> None:
+        """End the program. This is a signal handler."""
+        self._is_asked = True
+        raise SystemExit(0)
+
+    def is_asked(self) -> bool:
+        """Return whether a signal has come."""
+        return self._is_asked
 
 
 def _report(error: HilError, status: int) -> int:

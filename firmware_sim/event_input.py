@@ -6,9 +6,10 @@ import re
 import socket
 
 from firmware_sim.arm.event_text import FORM_OF, parse_event
+from firmware_sim.faults.checks import check_faults, no_process
 from firmware_sim.faults.fault_text import FAULT_NAMES, parse_fault
 from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
-from firmware_sim.faulty_rig import FaultyRig, check_faults, no_process
+from firmware_sim.faulty_rig import FaultyRig
 from hil.core.errors import DocumentError, HilError
 from hil.core.rig import Rig
 from hil.core.suggestions import nearest

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from time import monotonic_ns, time_ns
 from typing import TYPE_CHECKING, Protocol
 
@@ -32,8 +33,13 @@ class Watch(Protocol):
     def update(self, now_ns: int) -> None: ...  # noqa: D102
 
 
-def simulate(rig: SimulatedRig | FaultyRig, bus: Bus, watch: Watch | None = None) -> None:
-    """Power the boards on and run them until an exception is raised.
+def simulate(
+    rig: SimulatedRig | FaultyRig,
+    bus: Bus,
+    watch: Watch | None = None,
+    is_over: Callable[[], bool] = lambda: False,
+) -> None:
+    """Power the boards on and run them until ``is_over`` returns True or an exception is raised.
 
     A frame is handled at the instant of its arrival, and before any deadline after that instant. This process
     may have been delayed when a real board would not: then no watchdog acts because of commands that arrived
@@ -46,7 +52,7 @@ def simulate(rig: SimulatedRig | FaultyRig, bus: Bus, watch: Watch | None = None
     clock = _ArrivalClock()
     now_ns = frame_ns = monotonic_ns()
     frames = rig.start(now_ns)
-    while True:
+    while not is_over():
         for frame in frames:
             bus.send(frame)
         if watch is not None:

@@ -16,9 +16,10 @@ from firmware_sim.arm.arm_file import read_arm, shipped_arm_text
 from firmware_sim.arm.event_text import event_text, parse_event
 from firmware_sim.arm.events import AnyEvent
 from firmware_sim.arm.wiring import Wires, wiring
+from firmware_sim.faults.checks import no_process
 from firmware_sim.faults.fault_text import fault_text, parse_fault
 from firmware_sim.faults.kinds import AnyFault, HostFault, ProcessFault
-from firmware_sim.faulty_rig import FaultyRig, no_process
+from firmware_sim.faulty_rig import FaultyRig
 from firmware_sim.plant_files import AxisPlant, read_axis_plants
 from firmware_sim.plant_options import check_plant_options, named_plants
 from firmware_sim.plants.plant import Plant

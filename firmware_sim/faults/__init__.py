@@ -6,6 +6,7 @@
 - ``frame_faults``: faults that change frames on their way.
 - ``wires``: faults between a board's pins and the plant.
 - ``host``: faults of the computer on which the gateway runs.
+- ``checks``: what is checked before a fault is armed.
 
 ``firmware_sim.faulty_rig.FaultyRig`` applies them, in simulated time and in real time.
 """

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
-import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
-from select import select
 
+from hil.cli.calibrate_by_hand import Ends, enter_pressed
 from hil.cli.calibrate_jogged import JOG_V, JoggedEnds, armed, check_daemon, keys_of_terminal
+from hil.cli.calibrate_valve import JoggedAxis
 from hil.cli.daemon_rig import check_channels, check_settings
 from hil.cli.monitor import BIT_RATE, Monitor, bus_to_hear
 from hil.cli.operate import add_socket_option
@@ -23,7 +22,6 @@ from hil.core.calibration import (
     RestingVolts,
     check_middle,
     potentiometer_values,
-    resting_volts,
     valve_values,
 )
 from hil.core.errors import DocumentError
@@ -33,20 +31,11 @@ from hil.core.suggestions import did_you_mean
 from hil.host.command_parser import CommandParser, number
 from hil.host.text_file import read_text
 from hil.links import open_link
-from hil.operation.client import Client, connect
+from hil.operation.client import connect
 from hil.shells.run_setup import load_rig
 
-MEASUREMENT_S = 0.6
-"""Time of a measurement at rest, in seconds: 53 samples at the period of the example rig."""
-REFRESH_NS = 200_000_000
-"""Time between two displays of the voltage."""
-JOG_S = 0.3
-"""Time of one jog, in seconds. If this command ends, the axis stops within it."""
-SETTLING_S = 0.1
-"""Time after the begin of a jog from which on its speed is measured, in seconds."""
-REST_S = 0.3
-"""Time between two jogs, in seconds."""
-WATCH_S = 0.05
+MAX_SPAN_RATIO = 10.0
+"""Largest ratio of a stated end to the axis' range in the rig file; more is a mistaken unit."""
 STEP_V = 0.02
 """Step of the valve's offset, in volts. The centre is interpolated between steps."""
 _HOW_TO_WRITE = "give -o NEW.toml for a new rig file, or --force to change that of --rig"
@@ -120,10 +109,6 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-MAX_SPAN_RATIO = 10.0
-"""Largest ratio of a stated end to the axis' range in the rig file; more is a mistaken unit."""
-
-
 def _check_ends(options: argparse.Namespace, axis: AxisSettings) -> None:
     """Refuse ends that are far outside the range of the axis. Raises DocumentError."""
     limit = MAX_SPAN_RATIO * max(abs(axis.min_y), abs(axis.max_y))
@@ -166,71 +151,9 @@ def _check(options: argparse.Namespace, rig: Rig) -> None:
         raise DocumentError(f"{options.output}: exists already and is kept; name another file")
 
 
-# Potentiometer
-
-
-class Ends:
-    """Measures the voltages of an axis that the user moves by hand.
-
-    ``is_entered`` returns True once for each press of Enter.
-    """
-
-    def __init__(
-        self,
-        monitor: Monitor,
-        rig: Rig,
-        axis: str,
-        samples: list[tuple[float, ...]],
-        is_entered: Callable[[], bool],
-        clock_ns: Callable[[], int],
-    ) -> None:
-        """``samples`` is the list to which ``monitor`` adds the voltages of each sample."""
-        self._monitor = monitor
-        self._rig = rig
-        self._axis = axis
-        self._channel = rig.axes[axis].potentiometer.channel
-        self._samples = samples
-        self._is_entered = is_entered
-        self._clock_ns = clock_ns
-
-    def measure(self, place: str) -> RestingVolts:
-        """Ask for the axis at ``place``, wait for Enter, and measure. A useless measurement is repeated."""
-        while True:
-            sys.stderr.write(f"Move {self._axis} by hand to {place}, hold it still, and press Enter.\n")
-            while not self._is_entered():
-                self._monitor.listen_until(self._clock_ns() + REFRESH_NS)
-                self._check_valves()
-                self._show()
-            self._samples.clear()
-            self._monitor.listen_until(self._clock_ns() + round(MEASUREMENT_S * 1e9))
-            try:
-                volts = resting_volts(self._samples, self._channel, self._axis)
-            except CalibrationError as error:
-                sys.stderr.write(f"{error}\n")
-                continue
-            sys.stderr.write(f"{place}: {volts.mean_v[self._channel - 1]:.3f} V\n")
-            return volts
-
-    def _show(self) -> None:
-        if sys.stderr.isatty():
-            volts = f"{self._samples[-1][self._channel - 1]:6.3f} V" if self._samples else "no samples"
-            sys.stderr.write(f"\r{volts}   \r")
-            sys.stderr.flush()
-
-    def _check_valves(self) -> None:
-        """Check that no gateway moves the axis meanwhile. Raises CalibrationError."""
-        valve_v = self._monitor.watch.status(self._clock_ns()).axes[self._axis].valve_v
-        centre_v = self._rig.axes[self._axis].valve.centre_v
-        if valve_v is not None and abs(valve_v - centre_v) > 0.01:
-            raise CalibrationError(
-                f"{self._axis}: a gateway holds its valve at {valve_v:.3f} V, not at the centre "
-                f"{centre_v:g} V: stop it (hil stop), so that nothing moves the axis but your hand"
-            )
-
-
 def _potentiometer(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float], str]:
     samples: list[tuple[float, ...]] = []
-    with open_link(bus_to_hear(options, rig)) as link:
+    with open_link(bus_to_hear(options, rig), rig.bus.bit_rate) as link:
         clock_ns = time.monotonic_ns
         monitor = Monitor(link, rig, BIT_RATE, sends_sync=True, clock_ns=clock_ns, on_sample=samples.append)
         ends = Ends(monitor, rig, options.axis, samples, enter_pressed, clock_ns)
@@ -270,63 +193,6 @@ def _measured_ends(
     return "potentiometer", values._asdict(), origin
 
 
-def enter_pressed() -> bool:
-    """Return whether the user has pressed Enter since the last call.
-
-    Raises CalibrationError at the end of the input.
-    """
-    descriptor = sys.stdin.fileno()
-    while select([descriptor], [], [], 0)[0]:
-        character = os.read(descriptor, 1)  # not buffered, so that select sees the rest
-        if not character:
-            raise CalibrationError("the input ended before the measurement was complete")
-        if character == b"\n":
-            return True
-    return False
-
-
-# Valve
-
-
-class JoggedAxis:
-    """Moves an axis by jogs of a running daemon, and measures its speed."""
-
-    def __init__(self, client: Client, axis: str) -> None:
-        self._client = client
-        self._axis = axis
-        self.recording: str | None = None
-        """Recording of the daemon during the last jog."""
-
-    def speed(self, offset_v: float) -> float:
-        """Jog once and return the speed in the axis' unit per s, then let the axis come to rest."""
-        points: list[tuple[float, float]] = []
-        began_ns: int | None = None
-        self._client.jog(self._axis, offset_v, JOG_S)
-        for time_ns, position in self._positions():
-            began_ns = time_ns if began_ns is None else began_ns
-            elapsed_s = (time_ns - began_ns) * 1e-9
-            if SETTLING_S <= elapsed_s <= JOG_S:
-                points.append((elapsed_s, position))
-            if elapsed_s > JOG_S + REST_S:
-                break
-        if len(points) < 2:
-            raise CalibrationError(
-                f"{self._axis}: the daemon gave no positions during the jog; is it in a fault?"
-            )
-        (first_s, first), (last_s, last) = points[0], points[-1]
-        return (last - first) / (last_s - first_s)
-
-    def _positions(self) -> Iterator[tuple[int, float]]:
-        with contextlib.closing(self._client.watch(WATCH_S)) as updates:  # type: ignore[type-var]
-            for status in updates:
-                self.recording = status.recording
-                if status.state == "fault":
-                    raise CalibrationError(f"{self._axis}: the daemon is in a fault: {status.fault}")
-                for axis in status.axes:
-                    if axis.name == self._axis and axis.position is not None:
-                        yield status.time_ns, axis.position
-
-
 def _valve(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float], str]:
     settings = rig.axes[options.axis]
     with connect(options.socket) as client:
@@ -356,9 +222,6 @@ def _confirm(options: argparse.Namespace, motion: str) -> None:
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() != "yes":
         raise CalibrationError("not confirmed; nothing was moved")
-
-
-# The rig file
 
 
 def _write(

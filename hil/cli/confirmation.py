@@ -14,15 +14,20 @@ from hil.shells.real_bus import check_interface, is_real
 from hil.shells.run_setup import RunSetup
 
 
-def protection_warnings(setup: RunSetup, bus: str) -> list[LogEntry]:
-    """Return warnings of the protection that the rig file of a real arm does not have."""
-    if not is_real(bus) or setup.rig.emergency_stop is not None:
-        return []
-    text = (
-        "the rig file has no emergency stop (rig: emergency_stop): a button that cuts the supply of the "
-        "valves must be within reach"
-    )
-    return [LogEntry(Severity.WARNING, "rig", text)]
+def bus_notes(setup: RunSetup, bus: str) -> list[LogEntry]:
+    """Return what the log says about a real bus at first: the rig file's bit rate, and missing protection."""
+    notes = []
+    bit_rate = setup.rig.bus.bit_rate
+    if bus.startswith("slcan:") and bit_rate is not None:
+        text = f"{bus}: the serial adapter is set to {bit_rate / 1000:g} kbit/s (rig: bus.bit_rate)"
+        notes.append(LogEntry(Severity.INFO, "rig", text))
+    if is_real(bus) and setup.rig.emergency_stop is None:
+        text = (
+            "the rig file has no emergency stop (rig: emergency_stop): a button that cuts the supply of the "
+            "valves must be within reach"
+        )
+        notes.append(LogEntry(Severity.WARNING, "rig", text))
+    return notes
 
 
 def confirm_motion(setup: RunSetup, bus: str) -> None:
@@ -68,6 +73,6 @@ def _measure(setup: RunSetup, bus: str) -> list[float] | None:
     from hil.shells.first_look import measured_positions
 
     heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
-    with open_link(bus) as link, sole_gateway(link, heartbeat_interval_s):
+    with open_link(bus, setup.rig.bus.bit_rate) as link, sole_gateway(link, heartbeat_interval_s):
         gateway = setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns)
         return measured_positions(gateway, link)

@@ -11,7 +11,7 @@ import traceback
 
 from firmware_sim.simulated_plant import planned_events
 from hil import __version__
-from hil.cli.confirmation import protection_warnings
+from hil.cli.confirmation import bus_notes
 from hil.cli.daemon_actions import daemon_actions, event_check, unseen_events
 from hil.cli.live_page import live_views, make_feed
 from hil.cli.record_path import create_folder_of, recording_path
@@ -67,7 +67,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         notifier = stack.enter_context(Notifier())
         listener = stack.enter_context(listening(options.socket or default_path()))
         events = _start_boards(stack, spec, options) if is_simulated else None
-        link = stack.enter_context(open_link(spec))
+        link = stack.enter_context(open_link(spec, setup.rig.bus.bit_rate))
         if not is_simulated:
             heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
             stack.enter_context(sole_gateway(link, heartbeat_interval_s))
@@ -117,7 +117,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             if feed_warning:
                 session.note(LogEntry(Severity.WARNING, "live", feed_warning))
-            for warning in (*protection_warnings(setup, bus), *calibration_warnings(setup.rig)):
+            for warning in (*bus_notes(setup, bus), *calibration_warnings(setup.rig)):
                 session.note(warning)
             error = run(session, link, stop, port.serve, polling)
         notifier.send("STOPPING=1")

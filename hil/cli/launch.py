@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from firmware_sim.simulated_plant import build_boards, build_plant, planned_events, refuse_host_faults
-from hil.cli.confirmation import protection_warnings
+from hil.cli.confirmation import bus_notes
 from hil.cli.live_page import live_views, make_feed
 from hil.cli.quantities import duration_text
 from hil.cli.run_parts import (
@@ -57,7 +57,7 @@ def run_realtime(
     with stop_on_signals() as stop_request, contextlib.ExitStack() as stack:
         if bus == SIMULATED:
             stack.enter_context(boards_process(spec, options))
-        link = stack.enter_context(open_link(spec))
+        link = stack.enter_context(open_link(spec, setup.rig.bus.bit_rate))
         if bus != SIMULATED:
             heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
             stack.enter_context(sole_gateway(link, heartbeat_interval_s))
@@ -90,8 +90,8 @@ def run_realtime(
                 raise
             session.note(LogEntry(Severity.INFO, "rights", str(rights)))
             plan.take_failures(missing_rights(setup.rig, bus, rights))
-            for warning in protection_warnings(setup, bus):
-                session.note(warning)
+            for note in bus_notes(setup, bus):
+                session.note(note)
             _announce(session, setup, plan.duration_s, planned)
             error = run(session, link, stop_request, polling=polling)
         ending = _ending(plan, gateway) | {

@@ -54,7 +54,8 @@ def parser() -> CommandParser:
         "--bit-rate",
         type=_bit_rate,
         metavar="BIT/S",
-        help="bit rate of the bus, from which its load is computed (default: the rig file's, or 500000)",
+        help="bit rate of the bus: a serial adapter is set to it, and the load is computed from it (default: "
+        "the rig file's, or 500000)",
     )
     command.add_argument(
         "--sync",
@@ -74,8 +75,8 @@ def main(argv: list[str]) -> int:
     """Watch until interrupted, or once. Raises DocumentError or LinkError."""
     options = parser().parse_args(argv)
     rig = load_rig(options.rig)
-    with open_link(bus_to_hear(options, rig)) as link:
-        bit_rate = options.bit_rate or rig.bus.bit_rate or BIT_RATE
+    bit_rate = options.bit_rate or rig.bus.bit_rate or BIT_RATE
+    with open_link(bus_to_hear(options, rig), bit_rate) as link:
         monitor = Monitor(link, rig, bit_rate, options.sync, time.monotonic_ns)
         if options.once:
             monitor.listen_until(time.monotonic_ns() + round(ONCE_S * 1e9))

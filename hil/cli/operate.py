@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.cli.axis_values import by_axis
-from hil.core.check_names import OVERRIDE_HELP
-from hil.core.errors import DocumentError, OperationError, RequestRefusedError
+from hil.core.errors import ConnectionLostError, DocumentError, OperationError, RequestRefusedError
 from hil.core.setpoints import FORMS
-from hil.host.command_parser import CommandParser, number
-from hil.operation.client import Client, connect
+from hil.host.command_parser import CommandParser, add_override_option, number
+from hil.operation.client import Client, await_end, connect
 from hil.operation.protocol import AxisStatus, Status
 
 JOG_SPAN_S = 0.3
@@ -28,10 +27,10 @@ JOG_REPEAT_S = 0.1
 """Time from one part of a long jog to the next."""
 MIN_JOG_S = 0.01
 """Shortest last part of a long jog."""
-STATUS_S = 0.1
-"""Time between two looks at the daemon's status, which is at most as old."""
+WATCH_INTERVAL_S = 0.05
+"""Time from one status to the next while this command waits for the end of a jog."""
 END_TIMEOUT_S = 1.0
-"""Longest wait for the state that follows a jog."""
+"""Longest wait for another state once a jog should be over. If none comes, somebody else moves the arm."""
 MAX_JOG_S = 10.0
 """Longest jog of one command."""
 
@@ -45,6 +44,8 @@ class OperatorCommand(NamedTuple):
     ask: Callable[[Client, argparse.Namespace], str]
     """Sends the requests, and returns what happened, for the user."""
     epilog: str = ""
+    after_loss: Callable[[Path | None], str] = lambda _path: ""
+    """Returns what happened if the daemon at a socket closed the connection; nothing if that is an error."""
 
     def parser(self) -> CommandParser:
         """Return the parser of the command's arguments."""
@@ -60,8 +61,10 @@ class OperatorCommand(NamedTuple):
             with connect(options.socket) as client:
                 said = self.ask(client, options)
         except OperationError as error:
-            sys.stderr.write(f"hil {self.name}: {error}\n")
-            return 1
+            said = self.after_loss(options.socket) if isinstance(error, ConnectionLostError) else ""
+            if not said:
+                sys.stderr.write(f"hil {self.name}: {error}\n")
+                return 1
         sys.stdout.write(f"{said}\n")
         return 0
 
@@ -187,12 +190,23 @@ def _jog(client: Client, options: argparse.Namespace) -> str:
         left_s = end_s - sent_s
     last_s = max(left_s, MIN_JOG_S)
     client.jog(axis, offset_v, last_s)
-    # The jog ends by time, and a status may be STATUS_S old.
-    time.sleep(last_s + STATUS_S)
-    end_s = time.monotonic() + END_TIMEOUT_S
-    while (now := _status(client)) is not None and now.state == "running" and time.monotonic() < end_s:
-        time.sleep(STATUS_S)
-    return _describe_jog(axis, before, now)
+    return _describe_jog(axis, before, _status_after_jog(client, last_s))
+
+
+def _status_after_jog(client: Client, left_s: float) -> Status | None:
+    """Wait until the state is no longer running, and return the status then; None if there is no status.
+
+    Waits at most ``left_s``, the rest of the jog, and ``END_TIMEOUT_S``. Raises OperationError if the daemon
+    ends meanwhile. The daemon publishes the state running before it accepts a jog, so that a status from
+    before the jog is not taken for its end.
+    """
+    end_s = time.monotonic() + left_s + END_TIMEOUT_S
+    if _status(client) is None:
+        return None
+    for now in client.watch(WATCH_INTERVAL_S):
+        if now.state != "running" or time.monotonic() >= end_s:
+            return now
+    return _status(client)
 
 
 def _refuse_to_jog_on(pause_s: float) -> None:
@@ -252,10 +266,6 @@ def _add_event_arguments(parser: CommandParser) -> None:
     parser.add_argument("event", metavar="EVENT", help="such as payload:3 or stuck-spool:vertical")
 
 
-def _add_arm_arguments(parser: CommandParser) -> None:
-    parser.add_argument("--override", nargs="+", default=[], metavar="CHECK", help=OVERRIDE_HELP)
-
-
 def _add_record_arguments(parser: CommandParser) -> None:
     parser.add_argument(
         "what",
@@ -269,12 +279,16 @@ def _record(client: Client, options: argparse.Namespace) -> str:
     return client.record_new() if options.what == "new" else client.record_stop()
 
 
+def _ended_already(path: Path | None) -> str:
+    return "the daemon was already shutting down, and has ended" if await_end(path) else ""
+
+
 ARM = OperatorCommand(
     "arm",
     "Allow motion: the daemon goes from ready to armed. The valves stay centred until `hil start`. The "
     "daemon refuses if a check fails: a right that the rig requires of this machine, a position outside the "
     "envelope, or a controller whose loop is unstable. The refusal names each failed check.",
-    _add_arm_arguments,
+    add_override_option,
     lambda client, options: client.arm(options.override),
     "An override holds until the next disarm or fault. It is logged as a warning, shown by `hil status`, and "
     "recorded with who gave it.",
@@ -299,8 +313,12 @@ RESET = _simple(
         "state is ready"
     ),
 )
-SHUTDOWN = _simple(
-    "shutdown", "End the daemon: it centres the valves and closes the recording.", Client.shutdown
+SHUTDOWN = OperatorCommand(
+    "shutdown",
+    "End the daemon: it centres the valves and closes the recording.",
+    _no_arguments,
+    lambda client, _: client.shutdown(),
+    after_loss=_ended_already,
 )
 SETPOINT = OperatorCommand(
     "setpoint",

@@ -40,7 +40,7 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
     schedule = schedule_of(recording, side, options.from_s, options.to_s, answer_sync=options.answer_sync)
     rig = _rig_of(recording) if side is Side.GATEWAY else None
     with contextlib.ExitStack() as stack:
-        link = stack.enter_context(open_link(options.bus))
+        link = stack.enter_context(open_link(options.bus, _adapter_bit_rate(recording, options.bus)))
         if rig is not None:
             stack.enter_context(sole_gateway(link, rig.heartbeat_periods * rig.loop.period_s))
         if is_real(options.bus) and not options.yes:
@@ -83,6 +83,14 @@ def _rig_of(recording: Recording) -> Rig:
             "only --as boards is possible"
         )
     return read_rig(text, f"{recording.path}: rig.toml")
+
+
+def _adapter_bit_rate(recording: Recording, bus: str) -> int | None:
+    """Return the recorded rig's bit rate for a serial adapter; None for another bus. Raises HilError."""
+    text = recording.documents.get("rig.toml")
+    if text is None or not bus.startswith("slcan:"):
+        return None
+    return read_rig(text, f"{recording.path}: rig.toml").bus.bit_rate
 
 
 def _change(recording: Recording, *, fresh: bool) -> Callable[[Frame], Frame]:

@@ -20,10 +20,10 @@ from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.quantities import duration_text
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import SIMULATED
-from hil.core.check_names import OVERRIDE_HELP, check_overrides
+from hil.core.check_names import check_overrides
 from hil.core.errors import DocumentError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, FORMS
-from hil.host.command_parser import CommandParser
+from hil.host.command_parser import CommandParser, add_override_option
 from hil.host.text_file import read_text
 from hil.live.address import add_page_options, check_page_options
 from hil.recording.recorder import RecorderReport
@@ -154,18 +154,6 @@ def _recorded_run(
 
 def _exit_status(ending: Ending | None, report: RecorderReport) -> int:
     return 0 if ending in (Ending.COMPLETED, Ending.INTERRUPTED) and not report.failure else 1
-
-
-def add_override_option(command: argparse.ArgumentParser) -> None:
-    """Add ``--override``."""
-    command.add_argument(
-        "--override",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="CHECK",
-        help=OVERRIDE_HELP,
-    )
 
 
 def chosen_bus(options: argparse.Namespace, setup: RunSetup) -> str:

@@ -11,11 +11,6 @@ from hil.core.suggestions import did_you_mean
 
 POSITION, CONTROLLER = "position-", "controller-"
 """Beginnings of the names of the core's checks. The name of the axis follows."""
-OVERRIDE_HELP = (
-    "arm although this check fails: position-AXIS, controller-AXIS, SCHED_FIFO or memory-lock; the refusal "
-    "to arm names it"
-)
-"""Help of the option ``--override``."""
 
 
 def check_of_right(right: str) -> str:

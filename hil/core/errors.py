@@ -43,6 +43,14 @@ class OperationError(HilError):
     """No daemon answers, or the connection to it failed."""
 
 
+class NoDaemonError(OperationError):
+    """No daemon listens at the socket's path."""
+
+
+class ConnectionLostError(OperationError):
+    """The daemon closed the connection without an answer."""
+
+
 class RequestRefusedError(OperationError):
     """The daemon refused a request. The message is the daemon's reason."""
 

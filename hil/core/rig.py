@@ -7,7 +7,7 @@ the disk. The commented example is ``hil/shipped/rig.toml``.
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -21,6 +21,7 @@ from hil.core.operator_settings import (
     check_operator_settings,
     operator_limits,
 )
+from hil.core.replaced_keys import refuse_replaced_keys
 
 VOLTS_PER_COUNT = 10.0 / 32768
 """Resolution of an analogue channel of the DBC: CiA 401, left-adjusted INTEGER16."""
@@ -97,7 +98,8 @@ class Bus(Document, frozen=True):
     bit_rate: BitRate | None = None
     """Bit rate in bit/s. Simulated time then has a bus model, in which frames take time and wait.
 
-    None: frames in simulated time arrive at once. A real bus has the bit rate of its interface.
+    A serial adapter (slcan) is set to it. The interface of any other real bus has a bit rate of its own.
+    None: frames in simulated time arrive at once, and a serial adapter is set to 500 kbit/s.
     """
 
 
@@ -261,7 +263,7 @@ def read_rig(text: str, source: str) -> Rig:
     Raises DocumentError naming file, key, value and limit.
     """
     plain = parse_toml(text, source, Rig)
-    _refuse_replaced_keys(plain, source)
+    refuse_replaced_keys(plain, source)
     rig = from_plain(plain, Rig, source)
     _check_times(rig, source)
     check_inputs(rig.inputs, source)
@@ -287,36 +289,6 @@ def read_rig(text: str, source: str) -> Rig:
     for part in ("potentiometer", "valve"):
         _check_channels(rig, part, source)
     return rig
-
-
-_REPLACED_KEYS = {
-    ("gateway", "heartbeat_periods"): "heartbeat_interval_s",
-    ("adc", "heartbeat_timeout_periods"): "heartbeat_timeout_s",
-    ("dac", "heartbeat_timeout_periods"): "heartbeat_timeout_s",
-    ("dac", "watchdog_periods"): "watchdog_timeout_s",
-}
-"""Keys of version 0.1, which counted periods, and the keys in seconds that replace them."""
-
-
-def _refuse_replaced_keys(plain: dict[str, Any], source: str) -> None:
-    """Refuse keys of version 0.1, and give the line to write instead of each. Raises DocumentError."""
-    loop = plain.get("loop")
-    period_s = loop.get("period_s") if isinstance(loop, dict) else None
-    problems = []
-    for (table, old), new in _REPLACED_KEYS.items():
-        settings = plain.get(table)
-        if not isinstance(settings, dict) or old not in settings:
-            continue
-        periods, example = settings[old], ""
-        if _is_number(periods) and _is_number(period_s) and 0 < periods < 1e6:
-            example = f" = {periods * period_s:.6g}, which is {periods} periods of {period_s} s"
-        problems.append(f"{source}: {table}.{old}: this time is now given in seconds; write {new}{example}")
-    if problems:
-        raise DocumentError("\n".join(problems))
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _check_times(rig: Rig, source: str) -> None:

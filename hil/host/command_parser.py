@@ -1,4 +1,4 @@
-"""Argument parser of all commands: short errors, and the nearest option to a mistyped one."""
+"""Argument parser of all commands: short errors, the nearest option to a mistyped one, shared options."""
 
 from __future__ import annotations
 
@@ -22,6 +22,19 @@ def number(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number")
     return value
+
+
+def add_override_option(command: argparse.ArgumentParser) -> None:
+    """Add ``--override``, with the names of checks before arming. :mod:`hil.core.check_names` checks them."""
+    command.add_argument(
+        "--override",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="CHECK",
+        help="arm although this check fails: position-AXIS, controller-AXIS, SCHED_FIFO or memory-lock; the "
+        "refusal to arm names it",
+    )
 
 
 class CommandParser(argparse.ArgumentParser):

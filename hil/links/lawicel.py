@@ -4,7 +4,7 @@ python-can sleeps for 2 s after opening, reads byte by byte, and flushes after e
 than a period on a slow line. This bus is open as soon as the adapter has answered. It reads all waiting bytes
 in one call, and never waits when it writes.
 
-Protocol: Lawicel, CAN232 manual, version 3 (commands C, S6 and O; answers CR and BELL).
+Protocol: Lawicel, CAN232 manual, version 3 (commands C, S0 to S8 and O; answers CR and BELL).
 """
 
 from __future__ import annotations
@@ -21,6 +21,13 @@ from can import CanInitializationError, CanOperationError, Message
 from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
 
+BIT_RATES: Final = {
+    rate: f"S{number}"
+    for number, rate in enumerate(
+        (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+    )
+}
+"""Command of the protocol for each bit rate of the bus, in bit/s."""
 _DONE: Final = b"\r"
 _REFUSED: Final = b"\a"
 _MAX_LINE_BYTES: Final = 64
@@ -33,13 +40,17 @@ _BOOT_TIMEOUT_S: Final = 3.0
 
 
 class LawicelBus(slcanBus):
-    """An adapter on a serial device, with 500 kbit/s on its CAN side."""
+    """An adapter on a serial device."""
 
-    def __init__(self, device: str, baud: int) -> None:
+    def __init__(self, device: str, baud: int, bit_rate: int) -> None:
         """Open the adapter on ``device``, such as /dev/ttyACM0, with ``baud`` bit/s on the serial line.
 
-        Raises CanInitializationError.
+        ``bit_rate`` is that of the bus, one of ``BIT_RATES``. Raises CanInitializationError.
         """
+        self._joining = (
+            (BIT_RATES[bit_rate], f"{bit_rate / 1000:g} kbit/s"),
+            ("O", "joining the bus"),
+        )
         self._lines: deque[bytes] = deque()
         self._partial = b""
         self._unsent = b""
@@ -65,7 +76,7 @@ class LawicelBus(slcanBus):
                 raise CanInitializationError(
                     "the device does not answer; does it have slcan firmware, and is the baud rate right?"
                 )
-        for command, meaning in (("S6", "500 kbit/s"), ("O", "joining the bus")):
+        for command, meaning in self._joining:
             if self._command(command) != _DONE:
                 raise CanInitializationError(f"the adapter refused {meaning} (command {command})")
 

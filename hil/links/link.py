@@ -38,11 +38,15 @@ class Received(NamedTuple):
 class Link:
     """An open bus. It sends without waiting, receives with a timeout, and never receives its own frames."""
 
-    def __init__(self, spec: str, port: Port, origin: Origin) -> None:
-        """Take over ``port``, the bus that ``spec`` names. ``origin`` is the clock of its time stamps."""
+    def __init__(self, spec: str, port: Port, origin: Origin, bit_rate: int | None = None) -> None:
+        """Take over ``port``, the bus that ``spec`` names. ``origin`` is the clock of its time stamps.
+
+        ``bit_rate`` is what the bus was opened with, see :func:`open_link`.
+        """
         self.spec = spec
         """Name by which the bus was opened; error messages begin with it."""
         self._port: Port | None = port
+        self._bit_rate = bit_rate
         self.stamp_origin: Origin = origin
         """Clock of the time stamps of all frames that this link receives."""
         self.unreadable = 0
@@ -115,7 +119,7 @@ class Link:
             self._dropped_before = self.dropped()
         self._refused_by_queue = self.send_failures
         self.close()
-        self._port, self.stamp_origin = open_port(self.spec)
+        self._port, self.stamp_origin = open_port(self.spec, self._bit_rate)
 
     def fileno(self) -> int:
         """Return a descriptor for ``select``, which is readable when messages wait.
@@ -144,6 +148,10 @@ class Link:
         return self._port
 
 
-def open_link(spec: str) -> Link:
-    """Open the bus that ``spec`` names, in one of the forms of ``BUS_FORMS``. Raises LinkError."""
-    return Link(spec, *open_port(spec))
+def open_link(spec: str, bit_rate: int | None = None) -> Link:
+    """Open the bus that ``spec`` names, in one of the forms of ``BUS_FORMS``. Raises LinkError.
+
+    ``bit_rate``, in bit/s, is that of a bus behind a serial adapter (slcan); None means 500 kbit/s. Other
+    buses have a bit rate of their own.
+    """
+    return Link(spec, *open_port(spec, bit_rate), bit_rate)

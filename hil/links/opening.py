@@ -35,6 +35,8 @@ no other node can join it.
 """
 
 _DEFAULT_BAUD: Final = 115_200
+DEFAULT_BIT_RATE: Final = 500_000
+"""Bit rate of a bus behind a serial adapter, in bit/s, if the caller names none."""
 _PORTS: Final = range(1024, 65536)
 
 
@@ -48,8 +50,12 @@ def _no_bus(spec: str) -> LinkError:
     return LinkError(f"{spec!r} names no bus. Use one of these forms:\n{BUS_FORMS}")
 
 
-def open_port(spec: str) -> tuple[Port, Origin]:
-    """Open the bus that ``spec`` names; return it with the clock of its time stamps. Raises LinkError."""
+def open_port(spec: str, bit_rate: int | None = None) -> tuple[Port, Origin]:
+    """Open the bus that ``spec`` names; return it with the clock of its time stamps. Raises LinkError.
+
+    A serial adapter is set to ``bit_rate`` in bit/s; None means ``DEFAULT_BIT_RATE``. Other buses have their
+    own.
+    """
     import logging
 
     logging.getLogger("can").addHandler(logging.NullHandler())  # failures are reported by LinkError alone
@@ -62,7 +68,8 @@ def open_port(spec: str) -> tuple[Port, Origin]:
 
         return CanSocketPort(_open_socketcan(spec, rest)), "kernel"
     if scheme == "slcan" and (match := re.fullmatch(r"(/[^@]+)(?:@(\d{4,7}))?", rest)):
-        return MessagePort(_open_slcan(spec, match[1], int(match[2] or _DEFAULT_BAUD)), name), "user"
+        baud = int(match[2] or _DEFAULT_BAUD)
+        return MessagePort(_open_slcan(spec, match[1], baud, bit_rate or DEFAULT_BIT_RATE), name), "user"
     if scheme == "udp" and re.fullmatch(r"\d{1,9}", rest, re.ASCII) and int(rest) in _PORTS:
         from hil.links.host_multicast import GROUP
         from hil.links.socket_ports import MulticastPort
@@ -114,12 +121,19 @@ def _open_udp(spec: str, port: int) -> SocketBus:
     return bus
 
 
-def _open_slcan(spec: str, device: str, baud: int) -> can.BusABC:
+def _open_slcan(spec: str, device: str, baud: int, bit_rate: int) -> can.BusABC:
     from can import CanError
 
-    from hil.links.lawicel import LawicelBus
+    from hil.links.lawicel import BIT_RATES, LawicelBus
 
+    if bit_rate not in BIT_RATES:
+        *most, last = map(str, BIT_RATES)
+        raise LinkError(
+            f"{spec}: a serial adapter cannot be set to {bit_rate} bit/s: the bit rates of the Lawicel "
+            f"protocol are {', '.join(most)} and {last} bit/s; change bus.bit_rate in the rig file, or use a "
+            "SocketCAN adapter"
+        )
     try:
-        return LawicelBus(device, baud)
+        return LawicelBus(device, baud, bit_rate)
     except (CanError, OSError, ValueError) as error:
         raise failure(spec, "cannot be opened", cause_of(error), error) from None

@@ -13,7 +13,13 @@ from typing import Self, TypeVar
 
 import msgspec
 
-from hil.core.errors import DocumentError, OperationError, RequestRefusedError
+from hil.core.errors import (
+    ConnectionLostError,
+    DocumentError,
+    NoDaemonError,
+    OperationError,
+    RequestRefusedError,
+)
 from hil.core.setpoint_change import MAX_TABLE_CHARACTERS
 from hil.core.setpoints import COLUMNS, csv_file
 from hil.host.text_file import MAX_DOCUMENT_BYTES, read_text
@@ -50,6 +56,8 @@ from hil.operation.socket_path import default_path
 TIMEOUT_S = 20.0
 """Longest wait for an answer. It is longer than the daemon's own wait for the loop."""
 
+_MAX_LOST_CONNECTIONS = 5
+"""Number of connections in a row that a daemon may close without a word while it ends."""
 _TIMEVAL = struct.Struct("ll")  # struct timeval of the kernel
 
 _Kind = TypeVar("_Kind")
@@ -61,6 +69,21 @@ def connect(path: str | os.PathLike[str] | None = None) -> Client:
     Raises OperationError if no daemon runs there.
     """
     return Client(Path(path) if path is not None else default_path())
+
+
+def await_end(path: str | os.PathLike[str] | None = None) -> bool:
+    """Wait until a daemon that closes connections has ended. Return False if it serves a client meanwhile."""
+    for _ in range(_MAX_LOST_CONNECTIONS):
+        try:
+            connect(path).close()
+        except NoDaemonError:
+            return True
+        except ConnectionLostError:
+            continue  # It was about to be accepted when the daemon closed its socket.
+        except OperationError:
+            pass
+        return False
+    return False
 
 
 class Client:
@@ -209,8 +232,9 @@ class Client:
     def shutdown(self) -> str:
         """End the daemon: it centres the valves and closes the recording. Wait until it has ended."""
         text = self._ask(ShutdownCall(id=self._next_id())).text
-        while self._lines.read(TIMEOUT_S):
-            pass
+        with contextlib.suppress(ConnectionLostError):
+            while self._lines.read(TIMEOUT_S):
+                pass
         return text
 
     def answer_to(self, call: AnyCall) -> Answer:
@@ -255,7 +279,7 @@ class _Lines:
             self._greet()
         except (FileNotFoundError, ConnectionRefusedError):
             self.close()
-            raise OperationError(
+            raise NoDaemonError(
                 f"no daemon runs at {path}: start one with `hil daemon`, or give --socket its path"
             ) from None
         except OSError as error:
@@ -267,9 +291,13 @@ class _Lines:
 
     def _greet(self) -> None:
         line = self.read(TIMEOUT_S)
+        if not line:
+            raise ConnectionLostError(
+                f"{self._path}: the daemon does not serve this client: it closed the connection"
+            )
         greeting = _decode(line, Greeting, self._path) if b'"protocol"' in line else None
         if greeting is None:
-            refusal = _decode(line, Answer, self._path).text if line else "it closed the connection"
+            refusal = _decode(line, Answer, self._path).text
             raise OperationError(f"{self._path}: the daemon does not serve this client: {refusal}")
         if (greeting.protocol, greeting.version) != (PROTOCOL, VERSION):
             raise OperationError(
@@ -288,10 +316,15 @@ class _Lines:
             self._socket.settimeout(TIMEOUT_S)
             self._socket.sendall(data)
         except OSError as error:
-            raise OperationError(f"{self._path}: {self._last_words() or _reason(error)}") from None
+            words = self._last_words()
+            if not words:
+                raise ConnectionLostError(
+                    f"{self._path}: the daemon has closed the connection: {_reason(error)}"
+                ) from None
+            raise OperationError(f"{self._path}: {words}") from None
         line = self.read(TIMEOUT_S)
         if not line:
-            raise OperationError(f"{self._path}: the daemon closed the connection without an answer")
+            raise ConnectionLostError(f"{self._path}: the daemon closed the connection without an answer")
         return _decode(line, Answer, self._path)
 
     def read(self, timeout_s: float) -> bytes:
@@ -303,16 +336,18 @@ class _Lines:
                 if not data:
                     return b""
                 self._unread += data
+        except ConnectionResetError:
+            raise ConnectionLostError(f"{self._path}: the daemon closed the connection") from None
         except OSError as error:
             raise OperationError(f"{self._path}: the daemon does not answer: {_reason(error)}") from None
         line, _, self._unread = self._unread.partition(b"\n")
         return bytes(line)
 
     def _last_words(self) -> str:
-        """Return why the daemon has disconnected this client, if it has said so."""
+        """Return why the daemon has disconnected this client, or nothing if it has not said so."""
         with contextlib.suppress(OperationError):
             line = self.read(TIMEOUT_S)
-            return _decode(line, Answer, self._path).text if line else "the daemon has ended"
+            return _decode(line, Answer, self._path).text if line else ""
         return ""
 
     def close(self) -> None:

@@ -71,6 +71,8 @@ MAX_OVERRIDES = 32
 """Number of checks that one request to arm can override."""
 MAX_SETPOINTS = 16
 """Number of setpoints that one request can give."""
+ALREADY_SHUTTING_DOWN = "the daemon is already shutting down"
+"""Answer to ``shutdown`` while the daemon ends."""
 
 AxisName = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 ShortText = Annotated[str, msgspec.Meta(min_length=1, max_length=1024)]

@@ -1,39 +1,29 @@
 """The server of the daemon's clients. It runs in the socket process.
 
-What takes long to check, such as a controller, is checked here before the loop gets it. This is done in a
-thread, so that a stop need not wait for the controllers of other clients.
-A connection has one request under way at a time, so that at most ``MAX_CONNECTIONS`` requests wait for the
-loop. Whoever sends faster is read more slowly.
+What takes long to check, such as a controller, is checked in a thread before the loop gets it
+(``request_checks``). A connection has one request under way at a time, so that at most ``MAX_CONNECTIONS``
+requests wait for the loop. Whoever sends faster is read more slowly.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
-import pwd
 import socket
-import struct
 import time
 from collections import deque
-from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 
-from hil.core.check_names import check_overrides
-from hil.core.controller_change import PreparedController, prepare_controller
-from hil.core.errors import DocumentError, HilError, SetpointError
+from hil.core.controller_change import PreparedController
+from hil.core.errors import HilError
 from hil.core.output import LogThrottle, Severity
 from hil.core.printable import printable
-from hil.core.requests import ControllerRequest, SetpointRequest
-from hil.core.rig import read_rig
-from hil.core.setpoint_change import MAX_TABLE_CHARACTERS, PreparedSetpoint, prepare_setpoint
-from hil.core.suggestions import did_you_mean
+from hil.operation.peer import check_peer
 from hil.operation.pipe import MAX_MESSAGE_BYTES, Asked, Facts, FromLoop, Logged, Replied, StatusNow
 from hil.operation.places import Place, Places
 from hil.operation.protocol import (
+    ALREADY_SHUTTING_DOWN,
     MAX_CONNECTIONS,
     MAX_LINE_BYTES,
     MAX_REQUESTS_PER_S,
@@ -41,16 +31,11 @@ from hil.operation.protocol import (
     VERSION,
     WRITE_TIMEOUT_S,
     Answer,
-    ArmCall,
-    AxisSetpoint,
     ControllerCall,
-    EventCall,
     Greeting,
     LogLine,
     LoopCall,
     RigCall,
-    SetpointCall,
-    SetpointsCall,
     ShutdownCall,
     Status,
     StatusCall,
@@ -59,6 +44,7 @@ from hil.operation.protocol import (
     decode_call,
     encode_line,
 )
+from hil.operation.request_checks import Checked, CheckedCall, RequestChecks
 
 REPLY_TIMEOUT_S = 15.0
 """Longest wait for the loop's reply. Closing a recording on a slow disk takes longest."""
@@ -74,10 +60,6 @@ WRITE_BUFFER_BYTES = 64 * 1024
 """Answers that wait for a client beyond the kernel's own buffer."""
 LOG_LINES = 256
 """Number of log entries that are kept for watching clients."""
-_CheckedCall = ArmCall | EventCall | ControllerCall | SetpointCall | SetpointsCall
-Checked = PreparedController | tuple[PreparedSetpoint, ...] | None
-"""What was read for a request: a controller, or the tables of its setpoints."""
-_CREDENTIALS = struct.Struct("3i")
 
 
 class Server:
@@ -97,9 +79,11 @@ class Server:
         self._status: Status | None = None
         self._log: deque[tuple[int, LogLine]] = deque(maxlen=LOG_LINES)
         self._log_count = 0
-        self._rig = read_rig(facts.rig, "rig.toml")
+        self._checks = RequestChecks(facts)
         self._throttle = LogThrottle()
         self._has_loop_ended = asyncio.Event()
+        self._is_shutting_down = False
+        """True after the loop's answer to ``shutdown``. It takes no request while it closes the recording."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._writers: set[asyncio.StreamWriter] = set()
 
@@ -170,8 +154,10 @@ class Server:
             )
         finally:
             del self._waiting[number]
-        if isinstance(call, ShutdownCall) and reply.text == ENDED:
-            return Answer(id=call.id, accepted=True, text="the daemon has ended")
+        if isinstance(call, ShutdownCall):
+            if reply.text == ENDED:
+                return Answer(id=call.id, accepted=True, text="the daemon has ended")
+            self._is_shutting_down = reply.accepted
         return Answer(id=call.id, accepted=reply.accepted, text=reply.text)
 
     # The clients' side
@@ -193,7 +179,7 @@ class Server:
 
     async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve a client, or refuse to."""
-        peer, refusal = self._check_peer(writer.get_extra_info("socket"))
+        peer, refusal = check_peer(writer.get_extra_info("socket"))
         place = None
         if refusal is None:
             place = self._places.take(peer.process_id, time.monotonic(), lambda: _evict(writer))
@@ -248,11 +234,13 @@ class Server:
             return Answer(id=call.id, accepted=True, text=self._status.state, status=self._status)
         if isinstance(call, RigCall):
             return Answer(id=call.id, accepted=True, text=self._facts.rig)
+        if isinstance(call, ShutdownCall) and self._is_shutting_down:
+            return Answer(id=call.id, accepted=True, text=ALREADY_SHUTTING_DOWN)
         try:
             prepared = None
-            if isinstance(call, _CheckedCall):
+            if isinstance(call, CheckedCall):
                 async with self._is_checking:
-                    prepared = await asyncio.to_thread(self._check, call)
+                    prepared = await asyncio.to_thread(self._checks.check, call)
         except HilError as error:
             self._log_refusal(asked_by, str(error))
             return Answer(id=call.id, accepted=False, text=str(error))
@@ -274,50 +262,6 @@ class Server:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._has_loop_ended.wait(), call.interval_s)
 
-    def _check(self, call: _CheckedCall) -> Checked:
-        """Check what takes long to check, and return a controller or the tables that were read.
-
-        Raises HilError.
-        """
-        match call:
-            case ArmCall():
-                check_overrides(call.override, self._rig)
-            case EventCall():
-                self._check_event(call.text)
-            case ControllerCall():
-                self._check_axis(call.axis)
-                request = ControllerRequest(call.axis, call.name, call.document)
-                controller = prepare_controller(request, self._rig)
-                if controller.refusal:
-                    raise DocumentError(f"controller refused: {controller.refusal}")
-                return controller
-            case SetpointCall():
-                return self._tables([call])
-            case SetpointsCall():
-                _check_together(call.setpoints)
-                return self._tables(call.setpoints)
-        return None
-
-    def _tables(self, setpoints: Sequence[SetpointCall | AxisSetpoint]) -> tuple[PreparedSetpoint, ...]:
-        """Return the tables of setpoints, read and checked. Raises HilError."""
-        tables: list[PreparedSetpoint] = []
-        for one in setpoints:
-            self._check_axis(one.axis)
-            table = prepare_setpoint(SetpointRequest(one.axis, one.setpoint, one.table), self._rig)
-            if table is not None and table.refusal:
-                raise SetpointError(f"setpoint refused: {table.refusal}")
-            tables += [] if table is None else [table]
-        return tuple(tables)
-
-    def _check_axis(self, name: str) -> None:
-        """Check that the rig has an axis. Raises DocumentError."""
-        axes = self._rig.axes
-        if name not in axes:
-            raise DocumentError(
-                f"there is no axis {name!r}: the axes of the rig are {', '.join(axes)}"
-                f"{did_you_mean(name, axes)}"
-            )
-
     def _log_refusal(self, asked_by: str, reason: str) -> None:
         """Give the loop a log entry about a request that it never saw."""
         if self._throttle.should_report("refusal"):
@@ -325,53 +269,6 @@ class Server:
             line = LogLine(time.time_ns(), int(Severity.WARNING), "operator", text)
             with contextlib.suppress(OSError):
                 self._pipe.send(msgspec.msgpack.encode(Logged(line)))
-
-    def _check_event(self, text: str) -> None:
-        if self._facts.event_check is None:
-            raise DocumentError(
-                f"event {text!r}: only simulated boards have events; this daemon is on {self._facts.bus}"
-            )
-        module, _, function = self._facts.event_check.partition(":")
-        from importlib import import_module
-
-        getattr(import_module(module), function)(text, self._rig)
-
-    def _check_peer(self, connection: socket.socket) -> tuple[Peer, str | None]:
-        """Return who is at the other end, and why it is not served, if so."""
-        data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-        process_id, user_id, _ = _CREDENTIALS.unpack(data)
-        peer = Peer(process_id, user_id)
-        if user_id in (0, os.getuid()):
-            return peer, None
-        owner = _user(os.getuid())
-        return peer, f"user {_user(user_id)} may not operate this daemon, which belongs to {owner}"
-
-
-class Peer(NamedTuple):
-    """A client, as the kernel knows it."""
-
-    process_id: int
-    user_id: int
-
-    def __str__(self) -> str:
-        return f"{_user(self.user_id)} ({_program(self.process_id)}, process {self.process_id})"
-
-
-def _check_together(setpoints: Sequence[AxisSetpoint]) -> None:
-    """Check that the setpoints of a request are for different axes and fit into a message.
-
-    Raises SetpointError.
-    """
-    axes = [one.axis for one in setpoints]
-    for place, axis in enumerate(axes):
-        if axis in axes[:place]:
-            raise SetpointError(f"setpoint refused: {axis} is given twice; give one setpoint for each axis")
-    characters = sum(len(one.table) for one in setpoints)
-    if characters > MAX_TABLE_CHARACTERS:
-        raise SetpointError(
-            f"setpoint refused: the tables have {characters} characters together, limit "
-            f"{MAX_TABLE_CHARACTERS}; leave out rows, because straight lines connect them"
-        )
 
 
 def _evict(writer: asyncio.StreamWriter) -> None:
@@ -388,18 +285,3 @@ async def _write(writer: asyncio.StreamWriter, message: msgspec.Struct) -> None:
     """Send a line. Raises TimeoutError if the client does not read, and OSError if it has disconnected."""
     writer.write(encode_line(message))
     await asyncio.wait_for(writer.drain(), WRITE_TIMEOUT_S)
-
-
-def _user(uid: int) -> str:
-    try:
-        return pwd.getpwuid(uid).pw_name
-    except KeyError:
-        return f"uid {uid}"
-
-
-def _program(pid: int) -> str:
-    """Return the name that a program has given itself, without characters that could act on a terminal."""
-    with contextlib.suppress(OSError):
-        name = Path(f"/proc/{pid}/comm").read_text(errors="replace").rstrip("\n")
-        return "".join("?" if c in "(),:" else c for c in printable(name))
-    return "unknown program"

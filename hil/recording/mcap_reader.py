@@ -35,7 +35,7 @@ from hil.recording.mcap_records import (
 )
 from hil.recording.mcap_scan import scan
 from hil.recording.mcap_summary import CRC_BYTES, FOOTER, Contents, summarised_contents
-from hil.recording.scan_result import Place, Scan
+from hil.recording.scan_result import NO_DATA, Place, Scan
 from hil.recording.schemas import layout_of
 
 Rows: TypeAlias = npt.NDArray[np.void]
@@ -60,8 +60,11 @@ class McapContents:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = FileBytes(path)
-        if self._file.read(0, len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise RecordingError(f"{path}: not an MCAP file")
+        begin = self._file.read(0, len(MCAP0_MAGIC))
+        if begin != MCAP0_MAGIC:
+            raise RecordingError(
+                f"{path}: {NO_DATA if MCAP0_MAGIC.startswith(begin) else 'not an MCAP file'}"
+            )
         intact = summarised_contents(self._file)
         self._is_intact = intact is not None
         """True if CRCs of the file cover all chunks and indexes, and match."""

@@ -29,7 +29,7 @@ from hil.recording.mcap_scan import scan
 from hil.recording.mcap_writer import described_channels
 from hil.recording.metadata_digests import DIGESTS, END_DIGESTS, damaged_metadata, with_digests
 from hil.recording.repairs import IndexCheck, repairs
-from hil.recording.scan_result import Loss, Part, Place, Scan
+from hil.recording.scan_result import NO_DATA, Loss, Part, Place, Scan
 
 _NS_PER_MS = 1_000_000
 RECOVERY = "recovery"
@@ -94,7 +94,7 @@ def recover(source: Path, output: Path) -> Recovery:
     unknown = found.counts.keys() - found.channels.keys()
     lost = (*_lost_parts(found), *_changed_metadata(found))
     if not found.parts:
-        raise RecordingError(f"{source}: nothing can be saved: {_no_message(file)}")
+        raise RecordingError(f"{source}: {_no_message(file, found)}")
     if unknown:
         raise RecordingError(
             f"{source}: nothing can be saved: the descriptions of its channels are lost, and its rig file too"
@@ -114,10 +114,12 @@ def recover(source: Path, output: Path) -> Recovery:
     )
 
 
-def _no_message(file: FileBytes) -> str:
-    if file.read(0, len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        return "it is not an MCAP file, and no chunk with a matching CRC is in it"
-    return "no message in it is whole"
+def _no_message(file: FileBytes, found: Scan) -> str:
+    """Return why a file without a whole message cannot be saved."""
+    begin = file.read(0, len(MCAP0_MAGIC))
+    if not MCAP0_MAGIC.startswith(begin):
+        return "nothing can be saved: it is not an MCAP file, and no chunk with a matching CRC is in it"
+    return NO_DATA if found.was_cut_off_before_data else "nothing can be saved: no message in it is whole"
 
 
 def _lost_parts(found: Scan) -> tuple[LostPart, ...]:

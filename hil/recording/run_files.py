@@ -21,6 +21,7 @@ from hil.recording.mcap_chunks import Offsets
 from hil.recording.mcap_reader import Columns, McapContents, Rows
 from hil.recording.metadata_digests import DIGESTS, damaged_metadata
 from hil.recording.rotation_names import PART, RUN_ID, STATE_NAME
+from hil.recording.scan_result import NO_DATA
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 """A file, a folder with the files of one run, or the files of one run."""
@@ -30,13 +31,21 @@ _COUNTS = "recorder"
 
 def open_contents(given: Paths) -> McapContents | RunFiles:
     """Open the file or files of a run. Raises RecordingError."""
-    files = [_checked(McapContents(path)) for path in _paths(given)]
+    paths = _paths(given)
+    files = [_checked(McapContents(path), is_alone=len(paths) == 1) for path in paths]
     return files[0] if len(files) == 1 else RunFiles(files)
 
 
-def _checked(file: McapContents) -> McapContents:
-    """Return the file. Raises RecordingError if it was cut off, and its metadata are not those recorded."""
-    damaged = [] if file.is_complete else damaged_metadata(file.metadata)
+def _checked(file: McapContents, is_alone: bool) -> McapContents:
+    """Return the file. Raises RecordingError if it was cut off, and data or recorded metadata are missing.
+
+    Among other files of its run, a file without data is useful if it says which one it is.
+    """
+    if file.is_complete:
+        return file
+    damaged = damaged_metadata(file.metadata)
+    if file.time_range_ns() is None and (is_alone or damaged or "recording" not in file.metadata):
+        raise RecordingError(f"{file.path}: {NO_DATA}")
     if damaged:
         raise RecordingError(
             f"{file.path}: damaged: metadata {', '.join(damaged)} are missing or not as recorded, by their "

@@ -10,6 +10,12 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from hil.recording.mcap_records import Record
 
+NO_DATA = (
+    "was cut off before its first period: it holds no data. If its run has just begun, try again in a "
+    "second; otherwise remove the file, because nothing in it can be saved"
+)
+"""Message about a recording that ends before its first chunk. The file's name stands before it."""
+
 
 class Place(NamedTuple):
     """Place of a chunk in the file, or of messages outside chunks."""
@@ -70,3 +76,8 @@ class Scan:
     footer: Record | None = None
     has_end: bool = False
     """True if footer and magic bytes follow the data where they should."""
+
+    @property
+    def was_cut_off_before_data(self) -> bool:
+        """True if the file holds no message because it was cut off, and not because it was damaged."""
+        return not (self.parts or self.has_end) and all(loss.is_tail for loss in self.losses)

@@ -29,6 +29,7 @@ from hil.core.requests import (
 )
 from hil.operation.pipe import MAX_MESSAGE_BYTES, Asked, Logged, Replied, StatusNow
 from hil.operation.protocol import (
+    ALREADY_SHUTTING_DOWN,
     ArmCall,
     AxisStatus,
     ControllerCall,
@@ -198,7 +199,7 @@ class OperatorPort:
     def _operate(self, session: Session, asked: Asked) -> Reply:
         if session.plan.ending is not None:
             if isinstance(asked.call, ShutdownCall):
-                return Reply(True, "the daemon is ending already")
+                return Reply(True, ALREADY_SHUTTING_DOWN)
             # A start or a jog now would move a valve after the last commands that centre it.
             reply = Reply(False, "refused: the daemon is ending, with centred valves")
             session.note(LogEntry(Severity.WARNING, "operator", f"{asked.asked_by}: {reply.text}"))

@@ -12,6 +12,7 @@ import pytest
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from support.mcap_files import records
 
 from hil.cli import main
 from hil.core.errors import RecordingError
@@ -389,6 +390,49 @@ def test_a_file_that_was_cut_off_is_verified_up_to_its_end(
     torn.write_bytes(content[: int(cut * len(content)) if cut > 0 else int(cut)])
     assert main(["replay", "--verify", str(torn)]) == 0
     assert "the recording was cut off, and was verified up to its end" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "cut",
+    [
+        "empty",
+        "in the magic bytes",
+        "after the header",
+        "in an attachment",
+        "after the attachments",
+        "after the first metadata",
+        "in the last metadata",
+        "in the first chunk",
+    ],
+)
+def test_a_file_that_was_cut_off_before_its_first_period_holds_no_data(
+    short: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: str
+) -> None:
+    content = short.read_bytes()
+    parts = records(content)
+    attachments, metadata, chunks = (
+        [(start, end) for found, start, end in parts if found == kind]
+        for kind in (Opcode.ATTACHMENT, Opcode.METADATA, Opcode.CHUNK)
+    )
+    size = {
+        "empty": 0,
+        "in the magic bytes": 3,
+        "after the header": parts[0][2],
+        "in an attachment": sum(attachments[1]) // 2,
+        "after the attachments": attachments[-1][1],
+        "after the first metadata": metadata[0][1],
+        "in the last metadata": [end for _, end in metadata if end <= chunks[0][0]][-1] - 5,
+        "in the first chunk": sum(chunks[0]) // 2,
+    }[cut]
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(content[:size])
+    for command in (["replay", "--verify"], ["recover"], ["report"], ["export", "--to", "csv"], ["compare"]):
+        given = [*command, str(torn), *([str(short)] if command == ["compare"] else [])]
+        assert main(given) == 2, given
+        error = capsys.readouterr().err
+        assert f"{torn}: was cut off before its first period: it holds no data. If its" in error, given
+        assert error.count("\n") == 1, given
+    assert [path.name for path in tmp_path.iterdir()] == ["torn.mcap"]
 
 
 @pytest.mark.parametrize(("kind", "place"), [("ATTACHMENT", 700), ("CHUNK", 900)])

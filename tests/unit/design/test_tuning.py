@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import math
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import msgspec
 import pytest
 from support.constants import PERIOD_S
 from support.recorded_runs import following, lag, record_run, step
 
-from design.output.tuning_results import Condition, Job
+from design import tune_command, tuning, tuning_experiments
+from design.output.tuning_results import Condition, Job, Model
 from design.tuning import claim_folder, last_step
 from design.tuning_experiments import APPROACH_S, REST_S, start_position, step_command, step_setpoint
-from hil.core.errors import DocumentError
+from hil.cli import main
+from hil.core.errors import DocumentError, HilError
 from hil.core.setpoints import parse_setpoint
 from hil.recording import open_recording
 from hil.views.summary import StepResponse
@@ -111,6 +116,84 @@ def test_the_readings_are_those_of_the_step_and_not_of_the_path_to_it(tmp_path: 
     assert isinstance(found, StepResponse)
     assert (found.step_from, found.step_to) == (pytest.approx(0.08), pytest.approx(0.1))
     assert found.settling_s == pytest.approx(tau_s * math.log(50.0), abs=2.0 * PERIOD_S)
+
+
+REAL = msgspec.structs.replace(JOB, bus="can0")
+
+
+class TestQuestionsOnABus:
+    def test_each_excitation_is_shown_and_confirmed_before_it_begins(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        done: list[str] = []
+        monkeypatch.setattr(tuning, "show", lambda command: done.append(" ".join(command[-1:])))
+        monkeypatch.setattr(tuning, "run_experiment", lambda path, _command: done.append(path.name))
+        tuning.collect(REAL, tmp_path, lambda _text: None, done.append)
+        question = (
+            "Condition nominal. vertical on can0 will be excited for 60 s, as predicted. Is its range free "
+            "of people?"
+        )
+        assert done == ["--dry-run", question, "nominal-1.mcap", "--dry-run", question, "nominal-2.mcap"]
+
+    def test_a_step_is_confirmed_before_it_begins(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(tuning, "start_position", lambda *_given: 0.0123)
+        monkeypatch.setattr(tuning, "run_experiment", lambda *_given: pytest.fail("moved without a yes"))
+        controller = tmp_path / "controller.json"
+        controller.write_text("{}")
+        model = cast("Model", SimpleNamespace(condition=NOMINAL, plant=SimpleNamespace(output_unit="m")))
+
+        def refuse(question: str) -> None:
+            raise HilError(question)
+
+        with pytest.raises(HilError) as asked:
+            tuning.verify(
+                REAL, [model], tuning.default_design(), controller, tmp_path, lambda _text: None, refuse
+            )
+        assert str(asked.value) == (
+            "Condition nominal. vertical on can0 will move with the new controller from 0.0123 m to -0.05 m, "
+            "and will then step to 0.05 m. Is its range free of people?"
+        )
+
+    @pytest.mark.parametrize("command", ["collect", "run"])
+    def test_a_command_of_a_tuning_does_not_ask_again(
+        self, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        given: list[str] = []
+
+        def run(arguments: list[str], *, captured: bool) -> tuple[int, str]:
+            assert not captured
+            given.extend(arguments)
+            (tmp_path / "partial-1.mcap").write_bytes(b"")
+            return 0, ""
+
+        monkeypatch.setattr(tuning_experiments, "_run", run)
+        tuning_experiments.run_experiment(tmp_path / "1.mcap", [command, "--bus", "can0"])
+        assert given[0] == command
+        assert given.count("--yes") == 1
+
+    def test_without_a_terminal_it_refuses_before_anything_else(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        assert main(["tune", "--axis", "vertical", "--bus", "can0"]) == 2
+        assert capsys.readouterr().err == (
+            "hil tune: each motion on can0 must be confirmed, and there is no terminal to ask on; give --yes "
+            "to move vertical without questions\n"
+        )
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize("answer", ["", "no\n", "y\n"])
+    def test_anything_but_a_yes_ends_the_tuning(
+        self, answer: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.setattr("sys.stdin", io.StringIO(answer))
+        with pytest.raises(HilError, match="not confirmed; nothing more is moved"):
+            tune_command._confirm("Move?")
+        monkeypatch.setattr("sys.stdin", io.StringIO("yes\n"))
+        tune_command._confirm("Move?")
+        assert capsys.readouterr().out == "Move? Type yes: " * 2
 
 
 def test_an_experiment_does_not_outlive_a_tuning_that_was_killed() -> None:

@@ -88,6 +88,33 @@ def test_boards_answer_on_the_bus_until_a_signal_ends_the_program(
         assert process.wait(LIMIT_S) == 0
 
 
+def test_a_signal_ends_the_program_although_its_exception_is_discarded(
+    monkeypatch: pytest.MonkeyPatch, restored_process: None
+) -> None:
+    """As if it came while the interpreter runs a callback, before the first frame."""
+    bus = GatewayBus()
+
+    def interrupted(_boards: object, _plant: object, _options: object) -> None:
+        with pytest.raises(SystemExit):
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(cli, "_watch", interrupted)
+    monkeypatch.setattr(cli, "_open", lambda spec, _bit_rate: (bus, spec))
+    assert cli.main(["--linear", "--bus", "inproc:interrupted"]) == 0
+    assert bus.sent == []
+
+
+@pytest.mark.parametrize("lines", [1, 2, 3, 4])
+def test_a_signal_right_after_a_line_of_the_start_ends_the_program(lines: int) -> None:
+    command = [*COMMAND, "--linear", "--bus", "pty"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
+        assert process.stdout is not None
+        for _ in range(lines):
+            process.stdout.readline()
+        process.terminate()
+        assert process.wait(LIMIT_S) == 0
+
+
 def test_a_host_sees_the_serial_device_disappear() -> None:
     process, spec = started("pty")
     with process, open_link(spec) as link:
@@ -188,7 +215,7 @@ def test_a_failing_plant_ends_the_program_with_its_message(
 ) -> None:
     bus = GatewayBus()
     monkeypatch.setattr(cli, "build_plant", lambda rig, _options: (DivergingPlant(rig), "a plant"))
-    monkeypatch.setattr(cli, "_open", lambda spec: (bus, spec))
+    monkeypatch.setattr(cli, "_open", lambda spec, _bit_rate: (bus, spec))
     assert cli.main(["--bus", "inproc:diverging"]) == 1
     assert capsys.readouterr().err == "firmware-sim: vertical: position 3.2 m exceeds 0.15 m\n"
     assert [frame.id for frame in bus.sent] == [0x710, 0x720, 0x190]

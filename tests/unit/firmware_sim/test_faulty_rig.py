@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from support.board_bench import RIG, START, SYNC, HandPlant, command, nmt
 
-from firmware_sim.faulty_rig import BUS_OFF_FRAME, FaultyRig
+from firmware_sim.fault_effects import BUS_OFF_FRAME
+from firmware_sim.faulty_rig import FaultyRig
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame

@@ -53,7 +53,7 @@ def hand(monkeypatch: pytest.MonkeyPatch) -> Callable[[list[float]], Hand]:
         link = made.link
         monkeypatch.setattr(BoardsOnALink, "__enter__", lambda self: self, raising=False)
         monkeypatch.setattr(BoardsOnALink, "__exit__", lambda *_arguments: None, raising=False)
-        monkeypatch.setattr(command, "open_link", lambda _spec: link)
+        monkeypatch.setattr(command, "open_link", lambda _spec, _bit_rate: link)
         monkeypatch.setattr(command, "enter_pressed", made.is_entered)
         monkeypatch.setattr(command, "time", SimpleNamespace(monotonic_ns=link.clock_ns))
         return made

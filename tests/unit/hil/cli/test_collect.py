@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from hil.cli import launch
-from hil.cli.collect import Collected, _gaps, _samples_text, main
+from hil.cli.collect import main
+from hil.cli.collect_run import Collected, _gaps, samples_text
 from hil.core.errors import DocumentError, RecordingError
 from hil.shells.run_plan import StopRequest
 
@@ -97,5 +98,5 @@ def test_missed_periods_count_as_periods_without_a_good_sample() -> None:
 
 
 def test_rejected_frames_are_stated_beside_the_gaps() -> None:
-    assert _samples_text(COLLECTED).endswith("5000 excited, 2 periods without a good sample")
-    assert "3 frames rejected in the whole run" in _samples_text(replace(COLLECTED, rejected=3))
+    assert samples_text(COLLECTED).endswith("5000 excited, 2 periods without a good sample")
+    assert "3 frames rejected in the whole run" in samples_text(replace(COLLECTED, rejected=3))

@@ -99,8 +99,8 @@ class TestCommand:
         """A node that sends its heartbeat when the monitor has opened the bus."""
         real = command.open_link
 
-        def opened(spec: str) -> Link:
-            link = real(spec)
+        def opened(spec: str, bit_rate: int) -> Link:
+            link = real(spec, bit_rate)
             other.send(Frame(codec.HEARTBEAT_ADC, b"\x7f"))
             return link
 

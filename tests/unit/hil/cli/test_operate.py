@@ -7,15 +7,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.ending_daemon import ending
 from support.operation_bench import MadeUpLoop, served, status
 
 from hil.cli import OPERATION, command_module, main, operate
 from hil.cli.operate import duration
 from hil.cli.status import show_json, show_live, show_text, status_lines
-from hil.operation.pipe import Replied
+from hil.operation.client import Client
+from hil.operation.pipe import Asked, Replied
 from hil.operation.protocol import (
     ArmCall,
     AxisSetpoint,
+    AxisStatus,
     ControllerCall,
     EventCall,
     JogCall,
@@ -189,6 +192,48 @@ def test_a_jog_says_how_far_the_axis_moved(bench: Bench, capsys: pytest.CaptureF
     assert capsys.readouterr().out == "vertical moved from +0.0123 to +0.0123 m; its valve is centred\n"
 
 
+class StandingTime:
+    """A clock that stands still, and on which nobody may sleep."""
+
+    def monotonic(self) -> float:
+        return 100.0
+
+    def sleep(self, duration_s: float) -> None:
+        raise AssertionError(f"slept for {duration_s} s")
+
+
+def test_a_jog_waits_for_the_status_in_which_it_is_over(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop, at = bench
+    loop.send_status(state="armed")
+    while main(["status", *at]) != 0:
+        pass
+    capsys.readouterr()
+
+    def begin(asked: Asked) -> Replied:
+        loop.send_status(state="running")
+        return Replied(asked.number, True, "jog begins")
+
+    loop.reply = begin
+    watched: list[str] = []
+
+    def watch(client: Client, interval_s: float) -> Iterator[Status]:
+        for look in real_watch(client, interval_s):
+            watched.append(look.state)
+            yield look
+            if len(watched) == 3:
+                loop.send_status(state="armed", axes=(AxisStatus("vertical", "m", 0.0, 0.02, 0.0, 0.0, 5.0),))
+
+    real_watch = Client.watch
+    monkeypatch.setattr(Client, "watch", watch)
+    monkeypatch.setattr(operate, "time", StandingTime())
+    assert main(["jog", "vertical=0.5", *at]) == 0
+    assert capsys.readouterr().out == "vertical moved from +0.0123 to +0.0200 m; its valve is centred\n"
+    assert watched[:3] == ["running"] * 3
+    assert watched[-1] == "armed"
+
+
 def test_a_jog_does_not_wait_for_controllers_that_somebody_else_started(
     bench: Bench, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -239,6 +284,17 @@ def test_a_jog_that_was_paused_does_not_begin_again(
     assert main(["jog", "vertical=0.5", "--for", "9s", *at]) == 1
     assert "paused for 3600.0 s and the axis has stopped" in capsys.readouterr().err
     assert sum(isinstance(asked.call, JogCall) for asked in loop.asked) == 3
+
+
+def test_a_shutdown_of_a_daemon_that_ends_meanwhile_is_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with ending(tmp_path / "s") as path:
+        assert main(["shutdown", "--socket", str(path)]) == 0
+    assert capsys.readouterr().out == "the daemon was already shutting down, and has ended\n"
+    with ending(tmp_path / "s") as path:
+        assert main(["arm", "--socket", str(path)]) == 1
+    assert capsys.readouterr().err == f"hil arm: {path}: the daemon closed the connection\n"
 
 
 def test_an_event_is_checked_by_the_daemon(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:

@@ -212,7 +212,11 @@ def test_a_recording_without_a_period_says_what_it_has(
     assert error == f"refused    {path}: has no period, so there is nothing to replay; {words}\n"
     path.write_bytes(path.read_bytes()[:-30])
     assert main(["replay", str(path)]) == 2
-    assert capsys.readouterr().err.endswith(", and it was cut off\n")
+    error = capsys.readouterr().err
+    if entries:
+        assert error.endswith(", and it was cut off\n")
+    else:
+        assert f"{path}: was cut off before its first period: it holds no data" in error
 
 
 @pytest.mark.parametrize(

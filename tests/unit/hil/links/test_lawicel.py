@@ -36,6 +36,27 @@ class TestSlcan(LinkContract):
             assert adapter.commands == [b"C", b"S6", b"O"]
             assert adapter.on_bus
 
+    @pytest.mark.parametrize(
+        ("bit_rate", "command"), [(10_000, b"S0"), (250_000, b"S5"), (800_000, b"S7"), (1_000_000, b"S8")]
+    )
+    def test_the_adapter_is_set_to_the_bit_rate_of_the_bus_also_when_it_is_opened_again(
+        self, adapters: TwoAdapters, bit_rate: int, command: bytes
+    ) -> None:
+        adapter = adapters.one
+        with open_link(f"slcan:{adapter.device}", bit_rate) as link:
+            link.reopen()
+            assert [line for line in adapter.commands if line[:1] == b"S"] == [command] * 2
+
+    def test_a_bit_rate_that_the_protocol_does_not_have_is_refused(self, adapters: TwoAdapters) -> None:
+        with pytest.raises(LinkError) as refused:
+            open_link(f"slcan:{adapters.one.device}", 83_333)
+        assert str(refused.value) == (
+            f"slcan:{adapters.one.device}: a serial adapter cannot be set to 83333 bit/s: the bit rates of "
+            "the Lawicel protocol are 10000, 20000, 50000, 100000, 125000, 250000, 500000, 800000 and "
+            "1000000 bit/s; change bus.bit_rate in the rig file, or use a SocketCAN adapter"
+        )
+        assert adapters.one.commands == []
+
     def test_frames_that_the_adapter_refuses_are_counted(self, pair: Pair, adapters: TwoAdapters) -> None:
         sender, _ = pair
         adapters.one.on_bus = False

@@ -10,9 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from support.ending_daemon import ending
 
 from hil.core.errors import OperationError
-from hil.operation.client import connect
+from hil.operation.client import await_end, connect
 
 GREETING = b'{"protocol": "hil-operation", "version": 1, "hil": "9"}\n'
 
@@ -66,6 +67,14 @@ def test_another_end_is_explained(tmp_path: Path, parts: list[bytes], words: str
 def test_no_daemon_says_what_to_start(tmp_path: Path) -> None:
     with pytest.raises(OperationError, match=r"no daemon runs at .*: start one with `hil daemon`"):
         connect(tmp_path / "none")
+
+
+def test_the_end_of_a_daemon_is_awaited(tmp_path: Path) -> None:
+    assert await_end(tmp_path / "none")
+    with ending(tmp_path / "ends") as path:
+        assert await_end(path)
+    with answering(tmp_path / "runs", GREETING) as path:
+        assert not await_end(path)
 
 
 def test_a_file_that_is_no_socket_is_explained(tmp_path: Path) -> None:

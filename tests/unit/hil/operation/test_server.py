@@ -19,7 +19,7 @@ from hil.core.controller_change import PreparedController
 from hil.core.errors import OperationError, RequestRefusedError
 from hil.core.requests import ControllerRequest
 from hil.core.rig import Rig
-from hil.operation import server
+from hil.operation import peer, request_checks, server
 from hil.operation.client import connect
 from hil.operation.pipe import Replied
 from hil.operation.protocol import (
@@ -226,7 +226,7 @@ def test_a_stop_does_not_wait_for_the_check_of_a_controller(
         assert has_stopped.wait(TIMEOUT_S)
         return PreparedController("", "checked at last", None, False)
 
-    monkeypatch.setattr(server, "prepare_controller", check)
+    monkeypatch.setattr(request_checks, "prepare_controller", check)
     with RawClient(bench[1]) as slow, connect(bench[1]) as other:
         slow.read()
         slow.send(msgspec.json.encode(ControllerCall(axis="vertical", name="c", document="{}")) + b"\n")
@@ -281,7 +281,7 @@ def other_processes(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     """Let further clients come from the process with the given number."""
 
     def become(process_id: int) -> None:
-        monkeypatch.setattr(server, "_CREDENTIALS", _Credentials((process_id, os.getuid(), 0)))
+        monkeypatch.setattr(peer, "_CREDENTIALS", _Credentials((process_id, os.getuid(), 0)))
 
     return become
 
@@ -390,7 +390,7 @@ def test_a_request_that_does_not_fit_a_line_is_not_sent(bench: Bench, tmp_path: 
 
 
 def test_a_user_other_than_owner_and_root_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_CREDENTIALS", _Credentials((1, 4_000_000, 0)))
+    monkeypatch.setattr(peer, "_CREDENTIALS", _Credentials((1, 4_000_000, 0)))
     with served(tmp_path) as (_, path), pytest.raises(OperationError, match="user uid 4000000 may not"):
         connect(path)
 
@@ -445,6 +445,17 @@ def test_requests_that_the_loop_does_not_take_before_its_end_are_answered(tmp_pa
             loop.end.shutdown(2)
             assert first.read() == {"id": 1, "accepted": True, "text": "the daemon has ended"}
             assert second.read() == {"id": 1, "accepted": False, "text": server.ENDED}
+
+
+def test_a_second_shutdown_is_answered_while_the_recording_is_closed(bench: Bench) -> None:
+    """The loop takes no requests then."""
+    loop, path = bench
+    with RawClient(path) as first, RawClient(path) as second:
+        for client, text in ((first, "done"), (second, "the daemon is already shutting down")):
+            client.read()
+            client.send(b'{"request": "shutdown", "id": 1}\n')
+            assert client.read() == {"id": 1, "accepted": True, "text": text}
+    assert len(loop.asked) == 1
 
 
 def test_record_new_is_one_request(bench: Bench) -> None:

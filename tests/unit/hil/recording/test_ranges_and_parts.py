@@ -11,6 +11,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
+from support.mcap_files import chunk_starts, records
 from support.recorded_runs import (
     EPOCH_OFFSET_NS,
     PERIOD_NS,
@@ -239,6 +241,18 @@ class TestRunsInSeveralFiles:
         run = open_recording(parts)
         assert not run.complete
         assert len(run.timing()) == 120
+
+    def test_a_last_file_without_data_ends_a_run_if_it_says_which_part_it_is(self, parts: list[Path]) -> None:
+        content = parts[2].read_bytes()
+        parts[2].write_bytes(content[: chunk_starts(content)[0]])
+        run = open_recording(parts)
+        assert not run.complete
+        assert len(run.timing()) == 80
+        (_, _, metadata_end), *_ = (r for r in records(content) if r[0] == Opcode.METADATA)
+        for size in (0, metadata_end - 1, metadata_end):
+            parts[2].write_bytes(content[:size])
+            with pytest.raises(RecordingError, match=r"run-3\.mcap: was cut off before its first period"):
+                open_recording(parts)
 
 
 class TestDataFrames:

@@ -262,16 +262,28 @@ def test_an_existing_file_is_not_overwritten(path: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"no recording", "it is not an MCAP file, and no chunk with a matching CRC is in it"),
-        (MCAP0_MAGIC, "no message in it is whole"),
-        (b"", "it is not an MCAP file"),
+        (
+            b"no recording",
+            "nothing can be saved: it is not an MCAP file, and no chunk with a matching CRC is in it",
+        ),
+        (MCAP0_MAGIC, "was cut off before its first period: it holds no data"),
+        (b"", "was cut off before its first period: it holds no data"),
     ],
     ids=["text", "magic alone", "empty"],
 )
 def test_a_file_without_messages_gives_no_new_file(tmp_path: Path, content: bytes, words: str) -> None:
-    with pytest.raises(RecordingError, match=f"nothing can be saved: {words}"):
+    with pytest.raises(RecordingError, match=rf"damaged\.mcap: {words}"):
         saved(content, tmp_path)
     assert not (tmp_path / "saved.mcap").exists()
+
+
+def test_damage_before_the_first_message_is_not_taken_for_a_cut(path: Path, tmp_path: Path) -> None:
+    content = path.read_bytes()
+    first, second = chunk_starts(content)[:2]
+    damaged = bytearray(content[:second])
+    damaged[first + 200] ^= 1
+    with pytest.raises(RecordingError, match="nothing can be saved: no message in it is whole"):
+        saved(bytes(damaged), tmp_path)
 
 
 def test_a_file_that_cannot_be_written_is_removed(

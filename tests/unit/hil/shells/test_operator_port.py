@@ -178,7 +178,7 @@ def test_nothing_moves_any_more_while_the_daemon_ends(bench: PortBench) -> None:
 def test_a_second_shutdown_is_accepted_while_the_daemon_ends(bench: PortBench) -> None:
     bench.run.plan.end(Ending.INTERRUPTED)
     reply = bench.reply_to(ShutdownCall())
-    assert (reply.accepted, reply.text) == (True, "the daemon is ending already")
+    assert (reply.accepted, reply.text) == (True, "the daemon is already shutting down")
 
 
 def test_other_requests_are_the_daemons(bench: PortBench) -> None:

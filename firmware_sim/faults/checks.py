@@ -1,0 +1,31 @@
+"""Checks of faults before they are armed in a simulated rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from firmware_sim.faults.condition import parse_condition
+from firmware_sim.faults.fault_text import fault_text
+from firmware_sim.faults.kinds import AnyFault, ProcessFault
+from hil.core.errors import DocumentError
+from hil.core.rig import Rig
+
+
+def no_process(fault: ProcessFault) -> str:
+    """Return why a fault of a process cannot begin in a simulated rig, and what to use in its place."""
+    return (
+        f"fault {fault_text(fault)!r} acts on a process of the gateway, and a simulated rig has none: use "
+        "VcanGateway.inject_fault of hil.testing. In simulated time, unplug is what the boards see of a "
+        "killed gateway, and stall:S of a paused one; nothing is written before the end of the run"
+    )
+
+
+def check_faults(faults: Iterable[AnyFault], rig: Rig) -> None:
+    """Check that ``rig`` has every axis that the faults name. Raises DocumentError."""
+    for fault in faults:
+        axis = getattr(fault, "axis", None)
+        if axis is not None and axis not in rig.axes:
+            raise DocumentError(
+                f"fault {fault_text(fault)!r}: no axis {axis!r}; the rig has {', '.join(rig.axes)}"
+            )
+        parse_condition(fault.when, list(rig.axes), f"fault {fault_text(fault)!r}")
