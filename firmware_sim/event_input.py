@@ -8,7 +8,7 @@ import socket
 from firmware_sim.arm.event_text import FORM_OF, parse_event
 from firmware_sim.faults.fault_text import FAULT_NAMES, parse_fault
 from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
-from firmware_sim.faulty_rig import FaultyRig, check_faults, no_process
+from firmware_sim.faulty_rig import FaultyRig, acts_on_arm, check_faults, no_process
 from hil.core.errors import DocumentError, HilError
 from hil.core.rig import Rig
 from hil.core.suggestions import nearest
@@ -51,8 +51,7 @@ def check_model_event(text: str, rig: Rig) -> None:
     fault = parse_present_event(text)
     if isinstance(fault, ArmFault):
         raise DocumentError(
-            f"event {text!r}: acts on the pneumatic arm, but a linear model is simulated (--linear or "
-            "--plant); faults of bus, boards, sensors and valves can begin"
+            f"event {text!r}: {acts_on_arm('a linear model is simulated (--linear or --plant)')}"
         )
     check_faults([fault], rig)
 

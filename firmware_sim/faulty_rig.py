@@ -58,6 +58,7 @@ from firmware_sim.faults.kinds import (
     Unplug,
 )
 from firmware_sim.faults.wires import Wires
+from firmware_sim.plants.plant import HasEvents
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
@@ -284,10 +285,8 @@ class FaultyRig:
     def _checked(self, fault: AnyFault | str) -> tuple[AnyFault, Random]:
         parsed = parse_fault(fault) if isinstance(fault, str) else fault
         check_faults([parsed], self._rig)
-        if isinstance(parsed, ArmFault) and not hasattr(self.boards.plant, "apply"):
-            raise DocumentError(
-                f"fault {fault_text(parsed)!r} acts on the pneumatic arm, but another plant is simulated"
-            )
+        if isinstance(parsed, ArmFault) and not isinstance(self.boards.plant, HasEvents):
+            raise DocumentError(f"fault {fault_text(parsed)!r} {acts_on_arm('another plant is simulated')}")
         if isinstance(parsed, ProcessFault):
             raise DocumentError(no_process(parsed))
         if isinstance(parsed, ErrorFrames) and self._bus is None:
@@ -356,7 +355,8 @@ class FaultyRig:
             case StickValve() | SlowValve():
                 self._wires.break_valve(fault, self._rig.axes[fault.axis].valve.channel - 1)
             case ArmFault(event=event):
-                self.boards.plant.apply(event)  # type: ignore[attr-defined]  # checked when it was armed
+                assert isinstance(self.boards.plant, HasEvents), "checked when the fault was armed"
+                self.boards.plant.apply(event)
             case Stall(stall_s=stall_s):
                 self.host.stall(now_ns, round(stall_s * 1e9))
             case StepClock(step_s=step_s):
@@ -446,6 +446,15 @@ def no_process(fault: ProcessFault) -> str:
         f"fault {fault_text(fault)!r} acts on a process of the gateway, and a simulated rig has none: use "
         "VcanGateway.inject_fault of hil.testing. In simulated time, unplug is what the boards see of a "
         "killed gateway, and stall:S of a paused one; nothing is written before the end of the run"
+    )
+
+
+def acts_on_arm(simulated: str) -> str:
+    """Return why an event of the arm cannot happen, given what is simulated, and what to use in its place."""
+    return (
+        f"acts on the pneumatic arm, but {simulated}: simulate the arm, or use a fault between board and "
+        "plant, which every plant has: offset-sensor:AXIS,-10 for a broken wire, stick-valve:AXIS, "
+        "slow-valve:AXIS,LAG_S"
     )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,8 +18,8 @@ from firmware_sim.arm.event_text import event_text, parse_event
 from firmware_sim.arm.events import AnyEvent
 from firmware_sim.arm.wiring import Wires, wiring
 from firmware_sim.faults.fault_text import fault_text, parse_fault
-from firmware_sim.faults.kinds import AnyFault, HostFault, ProcessFault
-from firmware_sim.faulty_rig import FaultyRig, no_process
+from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
+from firmware_sim.faulty_rig import FaultyRig, acts_on_arm, no_process
 from firmware_sim.plant_files import AxisPlant, read_axis_plants
 from firmware_sim.plant_options import check_plant_options, named_plants
 from firmware_sim.plants.plant import Plant
@@ -164,11 +165,28 @@ def _choose(rig: Rig, options: argparse.Namespace) -> _Choice:
                 f"event {event_text(event)!r} (of --event or --scenario) acts on the pneumatic arm, but "
                 f"--plant puts a linear model on {', '.join(plants)}. Omit the event or --plant"
             )
+    for fault in planned_faults(options):
+        if isinstance(fault, ArmFault):
+            _check_arm_fault(fault, arm_wiring, plants)
     if options.arm and not arm_wiring:
         raise DocumentError(
             f"--arm {options.arm}: --plant puts a linear model on every axis. Omit --arm or --plant"
         )
     return _Choice(plants, arm_wiring, scenario, events)
+
+
+def _check_arm_fault(
+    fault: ArmFault, arm_wiring: Mapping[str, Wires], plants: Mapping[str, AxisPlant]
+) -> None:
+    """Raise DocumentError if a linear model replaces the part of the arm on which a fault acts."""
+    axis = getattr(fault.event, "axis", None)
+    if arm_wiring and axis not in plants:
+        return
+    replaced = f"{axis} has a linear model" if arm_wiring else "every axis has a linear model"
+    raise DocumentError(
+        f"fault {fault_text(fault)!r} (of --fault or --scenario) {acts_on_arm(replaced)}. Omit the fault, or "
+        "--linear or --plant"
+    )
 
 
 def _events(scenario: Scenario | None, options: argparse.Namespace) -> list[AnyEvent]:
