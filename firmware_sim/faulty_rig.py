@@ -19,7 +19,7 @@ from firmware_sim.boards.canopen_slave import Frames, NmtCommand
 from firmware_sim.boards.codec import ADC_NODE, DAC_NODE, NMT_ID
 from firmware_sim.boards.dac import DacBoard
 from firmware_sim.boards.faults import AdcFaults, DacFaults
-from firmware_sim.faults.condition import Condition, Observation, parse_condition
+from firmware_sim.faults.condition import STATES, Condition, Observation, parse_condition
 from firmware_sim.faults.fault_text import fault_text, parse_fault
 from firmware_sim.faults.frame_faults import (
     Arrival,
@@ -80,9 +80,11 @@ class FaultyRig:
     ``rig`` is the rig file of ``boards``. ``faults`` are armed from the start; :meth:`inject` adds others.
     The randomness of a fault depends on ``seed`` and on the fault's place in the list alone. ``bus`` is the
     modelled bus between gateway and boards, on which the faults of the bus act; None if frames take no time.
+    ``is_told_states`` is True if :meth:`gateway_entered` is called.
 
     Raises DocumentError if a fault names an axis that the rig does not have, or acts on the pneumatic arm
-    when another plant is simulated, or destroys frames although there is no modelled bus.
+    when another plant is simulated, or destroys frames although there is no modelled bus, or waits for a
+    state of which the rig is not told.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class FaultyRig:
         *,
         seed: int = 0,
         bus: RigBus | None = None,
+        is_told_states: bool = False,
     ) -> None:
         self.boards = boards
         self.host = HostTiming()
@@ -121,6 +124,9 @@ class FaultyRig:
         self._copied: dict[int, Frame] = {}
         """Frame that a foreign node repeats, by the identity of its fault."""
         self._is_running = False
+        self._is_told_states = is_told_states
+        self._state = ""
+        """State that the gateway has entered last."""
         centre_v = [5.0, 5.0, 5.0]
         for axis in rig.axes.values():
             centre_v[axis.valve.channel - 1] = axis.valve.centre_v
@@ -146,13 +152,13 @@ class FaultyRig:
         else:
             self._schedule(now_ns + round(parsed.at_s * 1e9), partial(self._begin, parsed, random))
 
-    def begun_by_time(self) -> dict[str, str]:
-        """Return the faults that have begun, by their instant in seconds; those of one instant are joined."""
-        joined: dict[str, str] = {}
-        for at_ns, text in self.begun:
-            instant = f"{at_ns * 1e-9:.4f} s"
-            joined[instant] = f"{joined[instant]} {text}" if instant in joined else text
-        return joined
+    def gateway_entered(self, state: str, now_ns: int) -> None:
+        """Take note of a state of the gateway's life cycle, such as ``armed``.
+
+        A fault that is due begins at the next call of ``on_deadline``.
+        """
+        self._state = state
+        self._schedule_met(now_ns)
 
     @property
     def next_deadline_ns(self) -> int:
@@ -259,14 +265,18 @@ class FaultyRig:
 
     def _judge_conditions(self, now_ns: int) -> Frames:
         """Schedule the faults whose condition is met by the last frames, and begin those that are due."""
-        seen = Observation(_SAMPLE_ID in self._last, self._is_running, self._positions())
+        return self._run_agenda(now_ns) if self._schedule_met(now_ns) else ()
+
+    def _schedule_met(self, now_ns: int) -> bool:
+        """Schedule the faults whose condition is met. Return whether there are any."""
+        seen = Observation(_SAMPLE_ID in self._last, self._is_running, self._positions(), self._state)
         met = [entry for entry in self._waiting if entry[0].is_met(seen)]
         if not met:
-            return ()
+            return False
         self._waiting = [entry for entry in self._waiting if entry not in met]
         for _, fault, random in met:
             self._schedule(now_ns + round(fault.at_s * 1e9), partial(self._begin, fault, random))
-        return self._run_agenda(now_ns)
+        return True
 
     def _positions(self) -> dict[str, float]:
         sample = self._last.get(_SAMPLE_ID)
@@ -287,6 +297,12 @@ class FaultyRig:
         check_faults([parsed], self._rig)
         if isinstance(parsed, ArmFault) and not isinstance(self.boards.plant, HasEvents):
             raise DocumentError(f"fault {fault_text(parsed)!r} {acts_on_arm('another plant is simulated')}")
+        if parsed.when in STATES and not self._is_told_states:
+            raise DocumentError(
+                f"fault {fault_text(parsed)!r} waits for the gateway's state {parsed.when!r}, which no "
+                "frame on the bus shows: let hil run or hil daemon start the boards (--bus sim), or use "
+                "--lockstep, or wait for running, a position or a time"
+            )
         if isinstance(parsed, ProcessFault):
             raise DocumentError(no_process(parsed))
         if isinstance(parsed, ErrorFrames) and self._bus is None:

@@ -109,18 +109,19 @@ def build_boards(
     options: argparse.Namespace,
     *,
     may_break: bool = False,
+    is_told_states: bool = False,
     bus: RigBus | None = None,
 ) -> SimulatedRig | FaultyRig:
     """Return the boards before ``plant``, with the faults that ``options`` choose. Raises DocumentError.
 
-    ``may_break`` is True if faults can be added while the rig is simulated. ``bus`` is the modelled bus
-    between gateway and boards, if there is one.
+    ``may_break`` is True if faults can be added while the rig is simulated, ``is_told_states`` if the rig is
+    told the gateway's states. ``bus`` is the modelled bus between gateway and boards, if there is one.
     """
     boards = SimulatedRig(rig, plant)
     faults = planned_faults(options)
     if not faults and not may_break:
         return boards
-    return FaultyRig(rig, boards, faults, seed=options.seed, bus=bus)
+    return FaultyRig(rig, boards, faults, seed=options.seed, bus=bus, is_told_states=is_told_states)
 
 
 def planned_faults(options: argparse.Namespace) -> list[AnyFault]:
