@@ -283,7 +283,7 @@ def test_boards_of_their_own_print_a_fault_that_begins_and_refuse_what_they_cann
         for line in boards.stdout:
             if line.startswith("join with"):
                 break
-        with process(run_command(rig, tmp_path / "reset.mcap", 60, vertical="step:0.1@0")) as run:
+        with process(run_command(rig, tmp_path / "reset.mcap", 60, vertical="sine:0.1@0.1/1")) as run:
             candump.until(is_moving, run)
             moves_s = next(at_s for at_s, *frame in candump.frames if is_off_centre(*frame))
             printed = re.fullmatch(r"\((\d+\.\d+)\) (.+) begins\n", boards.stdout.readline())
