@@ -8,6 +8,7 @@ import gc
 import os
 import signal
 import sys
+import time
 from importlib.resources import files
 from pathlib import Path
 
@@ -40,7 +41,8 @@ def main(argv: list[str] | None = None) -> int:
         rig = _read_rig(options.rig)
         refuse_host_faults(options)
         plant, plant_text = build_plant(rig, options)
-        boards = build_boards(rig, plant, options, may_break=options.event_descriptor is not None)
+        is_connected = options.event_descriptor is not None
+        boards = build_boards(rig, plant, options, may_break=is_connected, is_told_states=is_connected)
         if options.watch and (options.linear or options.plant):
             raise DocumentError(
                 "--watch shows the pneumatic arm and no linear model; omit it, or omit --linear and --plant"
@@ -51,6 +53,8 @@ def main(argv: list[str] | None = None) -> int:
     with contextlib.closing(bus):
         try:
             print(_description(rig, plant_text, spec), flush=True)
+            if isinstance(boards, FaultyRig):
+                boards.on_begin = _print_fault
             _take_priority()
             simulate(boards, bus, _watch(boards, plant, options), stop.is_asked)
         except HilError as error:
@@ -71,6 +75,15 @@ def _watch(boards: SimulatedRig | FaultyRig, plant: Plant, options: argparse.Nam
 
         return EventInput(boards, options.event_descriptor)
     return None
+
+
+def _print_fault(text: str) -> None:
+    """Print that a fault begins: a gateway that has not started these boards cannot record it.
+
+    The time is that of candump: seconds since 1970.
+    """
+    with contextlib.suppress(OSError):  # nobody reads any more
+        print(f"({time.time():.6f}) {text} begins", flush=True)
 
 
 def _take_priority() -> None:
@@ -103,7 +116,7 @@ def parser() -> CommandParser:
         metavar="PID",
         help="end when process PID ends, which must be the parent of this process",
     )
-    parser.add_argument("--event-descriptor", type=int, help=argparse.SUPPRESS)  # hil daemon gives events
+    parser.add_argument("--event-descriptor", type=int, help=argparse.SUPPRESS)  # see event_input
     return parser
 
 

@@ -1,12 +1,18 @@
-"""Events and faults that are asked for while the rig is simulated, read from a socket: one text a message."""
+"""The boards' end of a socket to the gateway that has started them, besides the bus.
+
+From the gateway come events and faults that are asked for while the rig is simulated, one text a message,
+and ``state NAME`` when it enters a state of its life cycle. Back go the faults that begin, as
+``NANOSECONDS TEXT`` with the instant on CLOCK_MONOTONIC. Neither side waits for the other.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import re
 import socket
 
 from firmware_sim.arm.event_text import FORM_OF, parse_event
-from firmware_sim.faults.checks import check_faults, no_process
+from firmware_sim.faults.checks import acts_on_arm, check_faults, no_process
 from firmware_sim.faults.fault_text import FAULT_NAMES, parse_fault
 from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
 from firmware_sim.faulty_rig import FaultyRig
@@ -16,6 +22,8 @@ from hil.core.suggestions import nearest
 
 MAX_TEXT_BYTES = 4096
 """Largest text of an event."""
+STATE_MESSAGE = "state "
+"""Beginning of a message with the gateway's state. No event and no fault has this name."""
 
 
 def parse_present_event(text: str) -> AnyFault:
@@ -52,8 +60,7 @@ def check_model_event(text: str, rig: Rig) -> None:
     fault = parse_present_event(text)
     if isinstance(fault, ArmFault):
         raise DocumentError(
-            f"event {text!r}: acts on the pneumatic arm, but a linear model is simulated (--linear or "
-            "--plant); faults of bus, boards, sensors and valves can begin"
+            f"event {text!r}: {acts_on_arm('a linear model is simulated (--linear or --plant)')}"
         )
     check_faults([fault], rig)
 
@@ -78,12 +85,16 @@ def _unknown(name: str) -> str:
 
 
 class EventInput:
-    """Reads events and faults from the socket ``descriptor``, and gives them to ``rig`` without waiting."""
+    """Gives ``rig`` what arrives on the socket ``descriptor``, and reports the faults that begin.
+
+    It never waits.
+    """
 
     def __init__(self, rig: FaultyRig, descriptor: int) -> None:
         self._rig = rig
         self._socket = socket.socket(fileno=descriptor)
         self._socket.setblocking(False)
+        rig.on_begin = self._report
 
     def update(self, now_ns: int) -> None:
         """Let an event that has arrived begin at the rig's next deadline, which is now, or arm it.
@@ -92,7 +103,15 @@ class EventInput:
         """
         try:
             text = self._socket.recv(MAX_TEXT_BYTES).decode()
-            if text:
+            if text.startswith(STATE_MESSAGE):
+                self._rig.gateway_entered(text.removeprefix(STATE_MESSAGE), now_ns)
+            elif text:
                 self._rig.plan(parse_present_event(text), now_ns)
         except (OSError, UnicodeDecodeError, HilError):
             return
+
+    def _report(self, text: str) -> None:
+        """Report a fault that has just begun. Without a gateway there is nobody to report to."""
+        at_ns, _ = self._rig.begun[-1]
+        with contextlib.suppress(OSError):
+            self._socket.send(f"{at_ns} {text}".encode())

@@ -52,6 +52,7 @@ from firmware_sim.faults.kinds import (
     Unplug,
 )
 from firmware_sim.faults.wires import Wires
+from firmware_sim.plants.plant import HasEvents
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.frames import Frame
 from hil.core.rig import Rig
@@ -176,7 +177,8 @@ class FaultEffects:
             case StickValve() | SlowValve():
                 self._wires.break_valve(fault, self._rig.axes[fault.axis].valve.channel - 1)
             case ArmFault(event=event):
-                self._boards.plant.apply(event)  # type: ignore[attr-defined]  # checked when it was armed
+                assert isinstance(self._boards.plant, HasEvents), "checked when the fault was armed"
+                self._boards.plant.apply(event)
             case Stall(stall_s=stall_s):
                 self.host.stall(now_ns, round(stall_s * 1e9))
             case StepClock(step_s=step_s):

@@ -73,6 +73,8 @@ class FaultSchedule:
         self._begin_fault = begin
         self._end_fault = end
         self._is_running = False
+        self._state = ""
+        """State that the gateway has entered last; empty if nobody has said."""
         centre_v = [5.0, 5.0, 5.0]
         for axis in rig.axes.values():
             centre_v[axis.valve.channel - 1] = axis.valve.centre_v
@@ -100,14 +102,21 @@ class FaultSchedule:
 
     def judge_conditions(self, now_ns: int) -> Frames:
         """Schedule the faults whose condition is met by the last frames, and begin those that are due."""
-        seen = Observation(SAMPLE_ID in self._last, self._is_running, self._positions())
+        return self._agenda.run(now_ns) if self._schedule_met(now_ns) else ()
+
+    def gateway_entered(self, state: str, now_ns: int) -> None:
+        """Take note of a state of the gateway. A fault that is due begins when the agenda is run next."""
+        self._state = state
+        self._schedule_met(now_ns)
+
+    def _schedule_met(self, now_ns: int) -> bool:
+        """Schedule the faults whose condition is met. Return whether there are any."""
+        seen = Observation(SAMPLE_ID in self._last, self._is_running, self._positions(), self._state)
         met = [entry for entry in self.waiting if entry[0].is_met(seen)]
-        if not met:
-            return ()
         self.waiting = [entry for entry in self.waiting if entry not in met]
         for _, fault, random in met:
             self._begin_later(fault, random, now_ns)
-        return self._agenda.run(now_ns)
+        return bool(met)
 
     def _positions(self) -> dict[str, float]:
         sample = self._last.get(SAMPLE_ID)

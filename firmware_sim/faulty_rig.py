@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING
 from firmware_sim.boards.canopen_slave import Frames
 from firmware_sim.fault_effects import FaultEffects
 from firmware_sim.fault_schedule import COMMAND_ID, SAMPLE_ID, Agenda, FaultSchedule
-from firmware_sim.faults.checks import check_faults, no_process
+from firmware_sim.faults.checks import acts_on_arm, check_faults, no_process
+from firmware_sim.faults.condition import STATES
 from firmware_sim.faults.fault_text import fault_text, parse_fault
 from firmware_sim.faults.kinds import AnyFault, ArmFault, ErrorFrames, ProcessFault
+from firmware_sim.plants.plant import HasEvents
 from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
@@ -35,9 +37,11 @@ class FaultyRig:
     ``rig`` is the rig file of ``boards``. ``faults`` are armed from the start; :meth:`inject` adds others.
     The randomness of a fault depends on ``seed`` and on the fault's place in the list alone. ``bus`` is the
     modelled bus between gateway and boards, on which the faults of the bus act; None if frames take no time.
+    ``is_told_states`` is True if :meth:`gateway_entered` is called.
 
     Raises DocumentError if a fault names an axis that the rig does not have, or acts on the pneumatic arm
-    when another plant is simulated, or destroys frames although there is no modelled bus.
+    when another plant is simulated, or destroys frames although there is no modelled bus, or waits for a
+    state of which the rig is not told.
     """
 
     def __init__(
@@ -48,6 +52,7 @@ class FaultyRig:
         *,
         seed: int = 0,
         bus: RigBus | None = None,
+        is_told_states: bool = False,
     ) -> None:
         self.boards = boards
         self.begun: list[tuple[int, str]] = []
@@ -56,6 +61,7 @@ class FaultyRig:
         """Function that is given the text of each fault when it begins; None: nobody is notified."""
         self._rig = rig
         self._has_bus = bus is not None
+        self._is_told_states = is_told_states
         self._seed = seed
         self._count = 0
         self._last: dict[int, Frame] = {}
@@ -80,13 +86,12 @@ class FaultyRig:
         """Arm a fault as :meth:`inject` does. One that is due begins at the next call of ``on_deadline``."""
         self._schedule.plan(*self._checked(fault), now_ns)
 
-    def begun_by_time(self) -> dict[str, str]:
-        """Return the faults that have begun, by their instant in seconds; those of one instant are joined."""
-        joined: dict[str, str] = {}
-        for at_ns, text in self.begun:
-            instant = f"{at_ns * 1e-9:.4f} s"
-            joined[instant] = f"{joined[instant]} {text}" if instant in joined else text
-        return joined
+    def gateway_entered(self, state: str, now_ns: int) -> None:
+        """Take note of a state of the gateway's life cycle, such as ``armed``.
+
+        A fault that is due begins at the next call of ``on_deadline``.
+        """
+        self._schedule.gateway_entered(state, now_ns)
 
     @property
     def next_deadline_ns(self) -> int:
@@ -150,9 +155,13 @@ class FaultyRig:
         """Return a fault that can be armed, and its randomness. Raises DocumentError."""
         parsed = parse_fault(fault) if isinstance(fault, str) else fault
         check_faults([parsed], self._rig)
-        if isinstance(parsed, ArmFault) and not hasattr(self.boards.plant, "apply"):
+        if isinstance(parsed, ArmFault) and not isinstance(self.boards.plant, HasEvents):
+            raise DocumentError(f"fault {fault_text(parsed)!r} {acts_on_arm('another plant is simulated')}")
+        if parsed.when in STATES and not self._is_told_states:
             raise DocumentError(
-                f"fault {fault_text(parsed)!r} acts on the pneumatic arm, but another plant is simulated"
+                f"fault {fault_text(parsed)!r} waits for the gateway's state {parsed.when!r}, which no "
+                "frame on the bus shows: let hil run or hil daemon start the boards (--bus sim), or use "
+                "--lockstep, or wait for running, a position or a time"
             )
         if isinstance(parsed, ProcessFault):
             raise DocumentError(no_process(parsed))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,9 +17,9 @@ from firmware_sim.arm.arm_file import read_arm, shipped_arm_text
 from firmware_sim.arm.event_text import event_text, parse_event
 from firmware_sim.arm.events import AnyEvent
 from firmware_sim.arm.wiring import Wires, wiring
-from firmware_sim.faults.checks import no_process
+from firmware_sim.faults.checks import acts_on_arm, no_process
 from firmware_sim.faults.fault_text import fault_text, parse_fault
-from firmware_sim.faults.kinds import AnyFault, HostFault, ProcessFault
+from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
 from firmware_sim.faulty_rig import FaultyRig
 from firmware_sim.plant_files import AxisPlant, read_axis_plants
 from firmware_sim.plant_options import check_plant_options, named_plants
@@ -109,18 +110,19 @@ def build_boards(
     options: argparse.Namespace,
     *,
     may_break: bool = False,
+    is_told_states: bool = False,
     bus: RigBus | None = None,
 ) -> SimulatedRig | FaultyRig:
     """Return the boards before ``plant``, with the faults that ``options`` choose. Raises DocumentError.
 
-    ``may_break`` is True if faults can be added while the rig is simulated. ``bus`` is the modelled bus
-    between gateway and boards, if there is one.
+    ``may_break`` is True if faults can be added while the rig is simulated, ``is_told_states`` if the rig is
+    told the gateway's states. ``bus`` is the modelled bus between gateway and boards, if there is one.
     """
     boards = SimulatedRig(rig, plant)
     faults = planned_faults(options)
     if not faults and not may_break:
         return boards
-    return FaultyRig(rig, boards, faults, seed=options.seed, bus=bus)
+    return FaultyRig(rig, boards, faults, seed=options.seed, bus=bus, is_told_states=is_told_states)
 
 
 def planned_faults(options: argparse.Namespace) -> list[AnyFault]:
@@ -165,11 +167,28 @@ def _choose(rig: Rig, options: argparse.Namespace) -> _Choice:
                 f"event {event_text(event)!r} (of --event or --scenario) acts on the pneumatic arm, but "
                 f"--plant puts a linear model on {', '.join(plants)}. Omit the event or --plant"
             )
+    for fault in planned_faults(options):
+        if isinstance(fault, ArmFault):
+            _check_arm_fault(fault, arm_wiring, plants)
     if options.arm and not arm_wiring:
         raise DocumentError(
             f"--arm {options.arm}: --plant puts a linear model on every axis. Omit --arm or --plant"
         )
     return _Choice(plants, arm_wiring, scenario, events)
+
+
+def _check_arm_fault(
+    fault: ArmFault, arm_wiring: Mapping[str, Wires], plants: Mapping[str, AxisPlant]
+) -> None:
+    """Raise DocumentError if a linear model replaces the part of the arm on which a fault acts."""
+    axis = getattr(fault.event, "axis", None)
+    if arm_wiring and axis not in plants:
+        return
+    replaced = f"{axis} has a linear model" if arm_wiring else "every axis has a linear model"
+    raise DocumentError(
+        f"fault {fault_text(fault)!r} (of --fault or --scenario) {acts_on_arm(replaced)}. Omit the fault, or "
+        "--linear or --plant"
+    )
 
 
 def _events(scenario: Scenario | None, options: argparse.Namespace) -> list[AnyEvent]:

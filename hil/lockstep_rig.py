@@ -7,7 +7,7 @@ function. Nothing here reads a clock. The same calls give the same frames in eve
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +23,7 @@ from hil.shells.journal import Journal
 from hil.shells.lockstep import Lockstep
 from hil.shells.lockstep_bus import BusLockstep
 from hil.shells.run_setup import RunSetup, load_setup
+from hil.shells.simulated_faults import StateReports, fault_entry, faults_by_instant
 
 if TYPE_CHECKING:
     from firmware_sim.faults.kinds import AnyFault
@@ -91,12 +92,15 @@ class LockstepRig:
         bit_rate = bit_rate or setup.rig.bus.bit_rate
         self.bus = None if bit_rate is None else RigBus(bit_rate)
         """The modelled bus, with the error counters of its nodes; None if frames arrive at once."""
-        self._faulty = faulty = FaultyRig(setup.rig, self.boards, faults, seed=seed, bus=self.bus)
+        self._faulty = faulty = FaultyRig(
+            setup.rig, self.boards, faults, seed=seed, bus=self.bus, is_told_states=True
+        )
         if self.bus is None:
             self._lockstep = Lockstep(faulty, 0, faulty.host)
         else:
             self._lockstep = BusLockstep(faulty, 0, self.bus, faulty.host)
-        self._side = _Side(setup.gateway(setup.rig.loop.period_ns), self._lockstep)
+        self._side = _Side(setup.gateway(setup.rig.loop.period_ns), self._lockstep, faulty.gateway_entered)
+        faulty.on_begin = self._note_fault
         self._lockstep.begin(self._side)
 
     @property
@@ -116,7 +120,7 @@ class LockstepRig:
 
     @property
     def log(self) -> list[LogEntry]:
-        """All log entries of the gateway so far."""
+        """All log entries of the gateway so far, and those of simulated faults that have begun."""
         return self._side.log
 
     @property
@@ -217,7 +221,7 @@ class LockstepRig:
         }
         if self.bus is not None:
             ending |= self.bus.figures(self.now_ns)
-        begun = self._faulty.begun_by_time()
+        begun = faults_by_instant(self._faulty.begun)
         metadata = {"ending": ending} | ({FAULTS_BEGUN: begun} if begun else {})
         self._side.journal.save(Path(path), self._setup, metadata)
         return Recording(path)
@@ -228,6 +232,10 @@ class LockstepRig:
         assert output.reply is not None
         return output.reply
 
+    def _note_fault(self, text: str) -> None:
+        """Log that a simulated fault begins."""
+        self._side.note(fault_entry(text), self.now_ns)
+
     def _operate(self, trigger: Trigger) -> None:
         reply = self.operate(trigger)
         if not reply.accepted:
@@ -237,9 +245,11 @@ class LockstepRig:
 class _Side:
     """The gateway's end of the bus: sends what the core returns, and keeps everything else."""
 
-    def __init__(self, gateway: Gateway, lockstep: Lockstep) -> None:
+    def __init__(self, gateway: Gateway, lockstep: Lockstep, enter: Callable[[str, int], None]) -> None:
+        """``enter`` is told each state of the gateway, and the time in nanoseconds."""
         self.gateway = gateway
         self._lockstep = lockstep
+        self._states = StateReports(gateway, lambda state: enter(state.name.lower(), lockstep.clock_ns()))
         self.log: list[LogEntry] = []
         self.cycles: list[Cycle] = []
         self.sent: list[Frame] = []
@@ -259,6 +269,10 @@ class _Side:
         self._take(output, now_ns)
         return output
 
+    def note(self, entry: LogEntry, now_ns: int) -> None:
+        self.log.append(entry)
+        self.journal.noted(entry, now_ns)
+
     def _take(self, output: Output, now_ns: int) -> None:
         refused: list[int] = []
         for place, frame in enumerate(output.frames):
@@ -269,6 +283,7 @@ class _Side:
             if frame.id == RPDO1_DAC:
                 self.gateway.command_refused(frame)
         self.log.extend(output.log)
+        self._states.update()
         if output.cycle is not None:
             self.cycles.append(output.cycle)
         self.journal.answered(output, now_ns, tuple(refused))

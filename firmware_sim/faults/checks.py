@@ -20,6 +20,15 @@ def no_process(fault: ProcessFault) -> str:
     )
 
 
+def acts_on_arm(simulated: str) -> str:
+    """Return why an event of the arm cannot happen, given what is simulated, and what to use in its place."""
+    return (
+        f"acts on the pneumatic arm, but {simulated}: simulate the arm, or use a fault between board and "
+        "plant, which every plant has: offset-sensor:AXIS,-10 for a broken wire, stick-valve:AXIS, "
+        "slow-valve:AXIS,LAG_S"
+    )
+
+
 def check_faults(faults: Iterable[AnyFault], rig: Rig) -> None:
     """Check that ``rig`` has every axis that the faults name. Raises DocumentError."""
     for fault in faults:

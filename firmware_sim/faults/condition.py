@@ -9,6 +9,8 @@ from typing import Final, NamedTuple
 from hil.core.errors import DocumentError
 
 RUNNING: Final = "running"
+STATES: Final = ("offline", "ready", "armed", "fault")
+"""States of the gateway's life cycle that no frame on the bus shows. The rig must be told of them."""
 NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 POSITION: Final = rf"[A-Za-z]\w*[<>]{NUMBER}"
 _POSITION: Final = re.compile(rf"(?P<axis>[A-Za-z]\w*)(?P<sign>[<>])(?P<limit>{NUMBER})")
@@ -23,10 +25,12 @@ class Observation(NamedTuple):
     """True from the first valve command on that is not the centre."""
     positions: Mapping[str, float]
     """Position of each axis in the last sample, in the axis' unit; empty before the first one."""
+    state: str = ""
+    """State that the gateway has entered last; empty if the rig has not been told."""
 
 
 class Condition(NamedTuple):
-    """A parsed condition: the first sample, the first command that moves a valve, or a position."""
+    """A parsed condition: the first sample, a state of the gateway, or a position."""
 
     kind: str
     axis: str = ""
@@ -38,6 +42,8 @@ class Condition(NamedTuple):
             return seen.has_sampled
         if self.kind == RUNNING:
             return seen.is_running
+        if self.kind in STATES:
+            return seen.state == self.kind
         position = seen.positions.get(self.axis)
         if position is None:
             return False
@@ -46,13 +52,13 @@ class Condition(NamedTuple):
 
 def parse_condition(text: str, axes: Sequence[str], source: str) -> Condition:
     """Read a condition such as ``vertical>0.05``. Raises DocumentError with the text and the valid forms."""
-    if text in ("", RUNNING):
+    if text in ("", RUNNING, *STATES):
         return Condition(text)
     match = _POSITION.fullmatch(text)
     if match is None:
         raise DocumentError(
-            f"{source}: when is {text!r}, but must be {RUNNING!r}, AXIS>POSITION or "
-            "AXIS<POSITION, such as 'vertical>0.05'"
+            f"{source}: when is {text!r}, but must be a state ({', '.join(STATES)} or {RUNNING}), "
+            "AXIS>POSITION or AXIS<POSITION, such as 'vertical>0.05'"
         )
     if match["axis"] not in axes:
         raise DocumentError(f"{source}: when: no axis {match['axis']!r}; the rig has {', '.join(axes)}")

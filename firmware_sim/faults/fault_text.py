@@ -3,7 +3,8 @@
 A text is ``NAME[:VALUES]@WHEN[/FOR]``. NAME is the kind of fault in a scenario file with hyphens in place of
 spaces. VALUES are in the order of the file's keys, separated by commas; a value that the file may omit may be
 omitted here. WHEN is a time in seconds from the boards' first sample, or a condition, or both:
-``CONDITION+SECONDS``. FOR is the duration in seconds. The name of an event of the arm
+``CONDITION+SECONDS``. A condition is a state of the gateway's life cycle or a position of an axis
+(:class:`firmware_sim.faults.kinds.Fault`). FOR is the duration in seconds. The name of an event of the arm
 (``firmware_sim.arm.event_text``) is a fault too.
 """
 
@@ -16,7 +17,7 @@ import msgspec
 
 from firmware_sim.arm.event_text import event_text, parse_event
 from firmware_sim.arm.events import AnyEvent
-from firmware_sim.faults.condition import NUMBER, POSITION, RUNNING
+from firmware_sim.faults.condition import NUMBER, POSITION, RUNNING, STATES
 from firmware_sim.faults.kinds import AnyFault, ArmFault, Fault
 from hil.core.documents import from_plain
 from hil.core.errors import DocumentError
@@ -33,11 +34,15 @@ FORMS: Final = (
     "processes only: kill:PROCESS, pause:PROCESS, fill-disk; and every event of the arm"
 )
 """Forms of all faults without their time, for help texts and errors."""
-WHEN_FORMS: Final = "@SECONDS, @running, @AXIS>POSITION or @CONDITION+SECONDS, then optionally /DURATION_S"
+WHEN_FORMS: Final = (
+    "@SECONDS, @STATE, @AXIS>POSITION, @AXIS<POSITION or @CONDITION+SECONDS, then optionally /DURATION_S; "
+    f"STATE is {RUNNING} (a command moves a valve), {', '.join(STATES)}"
+)
 
 _FORM: Final = re.compile(
     rf"(?P<name>[a-z-]+)(?::(?P<values>[^@]+))?"
-    rf"@(?:(?P<at>{NUMBER})|(?P<when>{RUNNING}|{POSITION})(?:\+(?P<after>{NUMBER}))?)(?:/(?P<for>{NUMBER}))?"
+    rf"@(?:(?P<at>{NUMBER})|(?P<when>{'|'.join((RUNNING, *STATES, POSITION))})(?:\+(?P<after>{NUMBER}))?)"
+    rf"(?:/(?P<for>{NUMBER}))?"
 )
 _BASE_FIELDS: Final = frozenset(field.name for field in msgspec.structs.fields(Fault))
 _KINDS: Final[dict[str, type[Fault]]] = {

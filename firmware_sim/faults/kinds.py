@@ -83,8 +83,13 @@ class Fault(Document, frozen=True, kw_only=True, tag_field="fault"):
     at_s: Seconds = 0.0
     """Time from the moment at which the condition is met until the fault begins, in seconds."""
     when: str = ""
-    """Condition that must be met once. Empty: the boards' first sample. ``running``: the first valve command
-    that is not the centre. ``AXIS>POSITION`` or ``AXIS<POSITION``: a position that the board has sampled.
+    """Condition that must be met once.
+
+    - Empty: the boards' first sample.
+    - ``running``: the first valve command that is not the centre, of the controllers or of a jog.
+    - ``offline``, ``ready``, ``armed``, ``fault``: the gateway enters this state, or is in it. No frame on
+      the bus shows these states. So the gateway must run in simulated time, or must have started the boards.
+    - ``AXIS>POSITION``, ``AXIS<POSITION``: a position that the board has sampled.
     """
     for_s: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)] | None = None
     """Duration in seconds. None: until the run ends, or until ``amount`` frames are affected."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
+from typing import Any
 
-from firmware_sim.plants.plant import HasContacts, Plant
+from firmware_sim.plants.plant import HasContacts, HasEvents, Plant
 
 
 class CombinedPlant:
@@ -30,6 +31,12 @@ class CombinedPlant:
         """
         for part in self._parts:
             part.advance(duration_ns, valve_v)
+
+    def apply(self, event: Any) -> None:
+        """Let an event happen to the parts that have events. Nothing happens to the others."""
+        for part in self._parts:
+            if isinstance(part, HasEvents):
+                part.apply(event)
 
     def potentiometer_v(self) -> Sequence[float]:
         """Return the potentiometers' voltages now (V, by channel), 0 to 10 V."""

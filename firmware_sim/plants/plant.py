@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
-from typing import Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 EMERGENCY_STOP: Final = "emergency stop"
 ENABLE_SWITCH: Final = "enable switch"
@@ -33,3 +33,11 @@ class HasContacts(Protocol):
     @property
     def open_contacts(self) -> Set[str]:
         """Names of the contacts that are open now."""
+
+
+@runtime_checkable
+class HasEvents(Protocol):
+    """A plant to which events can happen: the pneumatic arm, also as a part of a plant."""
+
+    def apply(self, event: Any) -> None:
+        """Let an event of ``firmware_sim.arm.events`` happen now, whatever its ``at_s`` is."""

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import socket
 import sys
 import time
 import traceback
 
 from firmware_sim.simulated_plant import planned_events
 from hil import __version__
+from hil.cli.boards_reports import BoardsReports
 from hil.cli.confirmation import bus_notes
 from hil.cli.daemon_actions import daemon_actions, event_check, unseen_events
 from hil.cli.live_page import live_views, make_feed
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
     SIMULATED,
-    boards_process,
+    connected_boards,
     dropped_by_kernel,
     free_udp_port,
     host_versions,
@@ -66,7 +66,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
     with stop_on_signals() as stop, contextlib.ExitStack() as stack:
         notifier = stack.enter_context(Notifier())
         listener = stack.enter_context(listening(options.socket or default_path()))
-        events = _start_boards(stack, spec, options) if is_simulated else None
+        events = stack.enter_context(connected_boards(spec, options)) if is_simulated else None
         link = stack.enter_context(open_link(spec, setup.rig.bus.bit_rate))
         if not is_simulated:
             heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
@@ -97,6 +97,9 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             observers: list[Observer] = [port, log, WatchdogObserver(notifier)]
             if feed is not None:
                 observers.append(feed)
+            reports = None if events is None else BoardsReports(events)
+            if reports is not None:
+                observers.append(reports)
             session = Session(
                 setup.gateway(time.monotonic_ns() + setup.rig.loop.period_ns),
                 plan,
@@ -108,6 +111,8 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 recordings,
                 feed,
             )
+            if reports is not None:
+                reports.attach(session)
             try:
                 refuse_gateway_that_was_heard(link)
             except LinkError as refusal:
@@ -120,6 +125,8 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             for warning in (*bus_notes(setup, bus), *calibration_warnings(setup.rig)):
                 session.note(warning)
             error = run(session, link, stop, port.serve, polling)
+            if reports is not None:
+                reports.finish()
         notifier.send("STOPPING=1")
         metadata = {"rights": rights.as_metadata(), "ending": _ending(session, link)}
         if error is not None:
@@ -128,16 +135,6 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
     if failure is not None:
         sys.stderr.write(f"hil daemon: the recording is incomplete: {failure}\n")
     return 0 if plan.ending is Ending.INTERRUPTED and failure is None else 1
-
-
-def _start_boards(stack: contextlib.ExitStack, spec: str, options: argparse.Namespace) -> socket.socket:
-    """Start the simulated boards. Return the socket for their events."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours.setblocking(False)
-    stack.enter_context(ours)
-    with theirs:
-        stack.enter_context(boards_process(spec, options, theirs))
-    return ours
 
 
 def _feed(

@@ -8,14 +8,23 @@ import time
 import traceback
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from firmware_sim.simulated_plant import build_boards, build_plant, planned_events, refuse_host_faults
+from firmware_sim.simulated_plant import (
+    build_boards,
+    build_plant,
+    planned_events,
+    planned_faults,
+    refuse_host_faults,
+)
+from hil.cli.boards_reports import BoardsReports
 from hil.cli.confirmation import bus_notes
 from hil.cli.live_page import live_views, make_feed
 from hil.cli.quantities import duration_text
 from hil.cli.run_parts import (
     SIMULATED,
     boards_process,
+    connected_boards,
     dropped_by_kernel,
     free_udp_port,
     host_versions,
@@ -24,11 +33,18 @@ from hil.cli.run_parts import (
 )
 from hil.core.errors import LinkError
 from hil.core.gateway import Gateway
+from hil.core.life_cycle import LifeCycleState
 from hil.core.output import LogEntry, Severity
-from hil.recording.recorder import FAULT_SOURCE, FAULTS_BEGUN, Recorder, RecorderReport
+from hil.recording.recorder import FAULTS_BEGUN, Recorder, RecorderReport
+from hil.shells.observers import Observers
 from hil.shells.run_plan import RunPlan
 from hil.shells.run_setup import RunSetup
 from hil.shells.session import Observer, Session
+from hil.shells.simulated_faults import StateReports, fault_entry, faults_by_instant
+
+if TYPE_CHECKING:
+    from firmware_sim.faulty_rig import FaultyRig
+    from hil.shells.lockstep import Lockstep
 
 LOCKSTEP_EPOCH_NS = 1_000_000_000_000_000_000
 """Start of simulated time, 2001-09-09. It is fixed, so that a recording depends on the setup alone."""
@@ -44,7 +60,6 @@ def run_realtime(
     from hil.host.realtime_rights import real_time_rights
     from hil.links import open_link
     from hil.shells.bus_guard import refuse_gateway_that_was_heard, sole_gateway
-    from hil.shells.observers import Observers
     from hil.shells.preflight import missing_rights
     from hil.shells.realtime import run
     from hil.shells.rehearsal import polling_of
@@ -54,9 +69,10 @@ def run_realtime(
         refuse_host_faults(options)
     spec = f"udp:{free_udp_port()}" if bus == SIMULATED else bus
     axes = [(name, axis.unit) for name, axis in setup.rig.axes.items()]
+    reports: BoardsReports | None = None
     with stop_on_signals() as stop_request, contextlib.ExitStack() as stack:
         if bus == SIMULATED:
-            stack.enter_context(boards_process(spec, options))
+            reports = _start_boards(stack, spec, options)
         link = stack.enter_context(open_link(spec, setup.rig.bus.bit_rate))
         if bus != SIMULATED:
             heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
@@ -71,9 +87,8 @@ def run_realtime(
             feed = stack.enter_context(live_views(made, options))
         display = LiveDisplay(axes)
         stack.callback(display.close)
-        observer: Observer = display
-        if feed is not None:
-            observer = Observers(display, feed)
+        others: list[Observer] = [other for other in (feed, reports) if other is not None]
+        observer = Observers(display, *others) if others else display
         recorder.await_start()
         loop = setup.rig.loop
         with real_time_rights(loop.poll_before_deadline_s, loop.poll_for_sample_s) as rights:
@@ -83,6 +98,8 @@ def run_realtime(
             session = Session(
                 gateway, plan, link.send, time.monotonic_ns, recorder, observer, most_refused, feed=feed
             )
+            if reports is not None:
+                reports.attach(session)
             try:
                 refuse_gateway_that_was_heard(link)
             except LinkError as refusal:
@@ -100,6 +117,8 @@ def run_realtime(
             "frames not sent": str(link.send_failures),
         }
         metadata = {"rights": rights.as_metadata(), "ending": ending}
+        if reports is not None and (begun := reports.finish()):
+            metadata[FAULTS_BEGUN] = begun
         if error is not None:
             metadata["error"] = {"traceback": "".join(traceback.format_exception(error))}
         return recorder.close(metadata)
@@ -120,7 +139,7 @@ def run_lockstep(
     header = run_header(setup, LOCKSTEP_EPOCH_NS, "lockstep", "simulated", {}, planned)
     bit_rate = setup.rig.bus.bit_rate
     bus = None if bit_rate is None else RigBus(bit_rate)
-    boards = build_boards(setup.rig, plant, options, bus=bus)
+    boards = build_boards(setup.rig, plant, options, is_told_states=True, bus=bus)
     host = boards.host if isinstance(boards, FaultyRig) else None
     lockstep = (
         Lockstep(boards, 0, host, LOCKSTEP_EPOCH_NS)
@@ -131,22 +150,36 @@ def run_lockstep(
     with stop_on_signals() as stop_request:
         recorder = Recorder(path, header, lossless=True)
         with LockstepProgress(duration_s) as progress:
+            observer: Observer = progress
+            if isinstance(boards, FaultyRig):
+                enter = partial(_enter, boards, lockstep)
+                observer = Observers(progress, StateReports(gateway, enter))
             max_refused = setup.rig.adc.stale_after_periods
             session = Session(
-                gateway, plan, lockstep.send, lockstep.clock_ns, recorder, progress, max_refused
+                gateway, plan, lockstep.send, lockstep.clock_ns, recorder, observer, max_refused
             )
             _announce(session, setup, duration_s, planned)
             if isinstance(boards, FaultyRig):
-                boards.on_begin = partial(_note_fault, session)
+                boards.on_begin = lambda text: session.note(fault_entry(text))
             lockstep.run(session, stop_request)
-        begun = boards.begun_by_time() if isinstance(boards, FaultyRig) else {}
+        begun = faults_by_instant(boards.begun) if isinstance(boards, FaultyRig) else {}
         ending = _ending(plan, gateway) | ({} if bus is None else bus.figures(lockstep.clock_ns()))
         return recorder.close({"ending": ending} | ({FAULTS_BEGUN: begun} if begun else {}))
 
 
-def _note_fault(session: Session, text: str) -> None:
-    """Log that a simulated fault begins."""
-    session.note(LogEntry(Severity.WARNING, FAULT_SOURCE, f"{text} begins"))
+def _enter(boards: FaultyRig, lockstep: Lockstep, state: LifeCycleState) -> None:
+    """Tell the simulated boards the gateway's state."""
+    boards.gateway_entered(state.name.lower(), lockstep.clock_ns())
+
+
+def _start_boards(
+    stack: contextlib.ExitStack, spec: str, options: argparse.Namespace
+) -> BoardsReports | None:
+    """Start the simulated boards. Return what they report: the faults that begin; None if there are none."""
+    if planned_faults(options):
+        return BoardsReports(stack.enter_context(connected_boards(spec, options)))
+    stack.enter_context(boards_process(spec, options))
+    return None
 
 
 def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dict[str, float]) -> None:

@@ -77,12 +77,26 @@ def host_versions() -> dict[str, str]:
 
 
 @contextlib.contextmanager
+def connected_boards(spec: str, options: argparse.Namespace) -> Iterator[socket.socket]:
+    """Run the simulated boards in another process. Return a socket to them, which does not block.
+
+    They read events, faults and the gateway's state from it, and write the faults that begin into it.
+    """
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.setblocking(False)
+    with ours, contextlib.ExitStack() as stack:
+        with theirs:
+            stack.enter_context(boards_process(spec, options, theirs))
+        yield ours
+
+
+@contextlib.contextmanager
 def boards_process(
     spec: str, options: argparse.Namespace, events: socket.socket | None = None
 ) -> Iterator[None]:
     """Run the simulated boards in another process, which the kernel kills if this one is killed.
 
-    They read events of the arm from the socket ``events``.
+    ``events`` is their end of the socket of :func:`connected_boards`.
     """
     # -P: modules in the working directory are not imported.
     command = [sys.executable, "-P", "-m", "firmware_sim", "--bus", spec, "--parent-pid", str(os.getpid())]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from hil import __version__
 from hil.core.frames import Frame
-from hil.core.output import Output
+from hil.core.output import LogEntry, Output
 from hil.core.requests import Request
 from hil.recording.handover import RunHeader
 from hil.shells.run_setup import RunSetup
@@ -45,6 +45,10 @@ class Journal:
     def answered(self, output: Output, now_ns: int, refused: tuple[int, ...] = ()) -> None:
         """Note the core's answer to the last call. ``refused`` are places of frames that were not sent."""
         self._calls.append(("answered", (output, now_ns, refused)))
+
+    def noted(self, entry: LogEntry, now_ns: int) -> None:
+        """Note a log entry of the shell, between two calls."""
+        self._calls.append(("log_entry", (entry, now_ns)))
 
     def save(self, path: Path, setup: RunSetup, metadata: dict[str, dict[str, str]]) -> None:
         """Write all calls so far as the recording of a run of ``setup``.

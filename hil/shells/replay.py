@@ -134,8 +134,8 @@ def _gateway(recording: Recording, first_deadline_ns: int) -> Gateway:
             restore(gateway, json.loads(state))
         except (HilError, ValueError) as error:
             raise RecordingError(
-                f"{recording.path}: the attachment {STATE_NAME}: {error}; a run whose first file is there can "
-                "be replayed as a whole: hil replay FOLDER"
+                f"{recording.path}: the attachment {STATE_NAME}: {error}; a run whose first file is there "
+                "can be replayed as a whole: hil replay FOLDER"
             ) from None
     return gateway
 

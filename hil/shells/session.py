@@ -152,9 +152,9 @@ class Session:
         record = partial(self._recorder.link_failed, reason, now_ns)
         self._handle(partial(self.gateway.link_failed, reason), record, now_ns)
 
-    def note(self, entry: LogEntry) -> None:
-        """Record and show a log entry of the shell itself."""
-        self._recorder.log_entry(entry, self._clock_ns())
+    def note(self, entry: LogEntry, at_ns: int | None = None) -> None:
+        """Record and show a log entry of the shell itself. ``at_ns`` is its monotonic time; None: now."""
+        self._recorder.log_entry(entry, self._clock_ns() if at_ns is None else at_ns)
         self._observer.log(entry)
 
     def _handle(self, call: Callable[[], Output], record: Callable[[], None], now_ns: int) -> Output:

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.constants import PERIOD_S
 
 from hil.cli import main
 from hil.recording.reader import Recording
-from hil.recording.recorder import FAULTS_BEGUN
+from hil.recording.recorder import FAULT_SOURCE, FAULTS_BEGUN
+from hil.shells.replay import verify
 
 FAULTS = ["--fault", "lose:sample,20%@0.5/0.5", "--fault", "unplug@vertical>0.05"]
 SCENARIO = """
@@ -53,9 +55,24 @@ def test_faults_of_a_scenario_file_act(tmp_path: Path) -> None:
 
 @pytest.mark.real_time
 def test_the_same_fault_stops_a_run_in_real_time(tmp_path: Path) -> None:
-    recording = run(tmp_path / "run.mcap", "--fault", "unplug@vertical>0.05")
+    recording = run(
+        tmp_path / "run.mcap", "--fault", "hang:dac@armed/0.02", "--fault", "unplug@vertical>0.05"
+    )
     assert "no good sample for 5 periods" in recording.metadata["ending"]["fault"]
-    assert np.nanmax(recording.axis("vertical").position) < 0.07
+    vertical = recording.axis("vertical")
+    assert np.nanmax(vertical.position) < 0.07
+    (first_ns, first), (last_ns, last) = [
+        (at_ns, entry) for at_ns, entry in recording.log() if entry.source == FAULT_SOURCE
+    ]
+    assert (first.text, last.text) == ("hang:dac@armed/0.02 begins", "unplug@vertical>0.05 begins")
+    assert recording.metadata[FAULTS_BEGUN] == {
+        f"{recording.seconds(first_ns):.4f} s": "hang:dac@armed/0.02",
+        f"{recording.seconds(last_ns):.4f} s": "unplug@vertical>0.05",
+    }
+    known = vertical[np.isfinite(vertical.position)]
+    before = known.time_s < recording.seconds(last_ns) - 2 * PERIOD_S
+    assert np.all(known.position[before] < 0.05), "the instant is that of the sample beyond the limit"
+    assert verify(recording).complete
 
 
 def test_a_fault_of_the_host_is_refused_in_real_time(

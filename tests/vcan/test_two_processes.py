@@ -36,6 +36,8 @@ pytestmark = pytest.mark.vcan
 LSB_V = 10 / 4096
 STALL_S = 0.3
 """Time that a busy machine may add to a reaction. Tests in simulated time assert the exact limits."""
+STAMPS_S = 0.001
+"""Difference between two readings of the wall clock for the same instant."""
 CANDUMP_LINE = re.compile(r"\((\d+\.\d+)\) \w+ ([0-9A-F]+)#([0-9A-F]*)")
 TIMEOUT_S = 60
 STEPS = {"vertical": (0.1, 1, "ppid"), "horizontal": (0.05, 2, "ppid"), "rotation": (0.2, 3, "ppid_rad")}
@@ -133,6 +135,13 @@ def is_moving(identifier: int, data: bytes) -> bool:
     """Whether a frame commands a valve away from its centre, so that the gateway is running."""
     return identifier == codec.RPDO1_DAC and any(
         abs(volts - 5.0) > 0.1 for volts in codec.decode_rpdo1_dac(data)[:3]
+    )
+
+
+def is_off_centre(identifier: int, data: bytes) -> bool:
+    """Whether a frame commands a valve away from its centre by more than one count."""
+    return identifier == codec.RPDO1_DAC and any(
+        abs(volts - 5.0) > 0.0005 for volts in codec.decode_rpdo1_dac(data)[:3]
     )
 
 
@@ -260,3 +269,25 @@ def test_killed_boards_are_a_fault_of_the_gateway(
     centred = [data for _, identifier, data in candump.up_to_now() if identifier == codec.RPDO1_DAC]
     assert codec.decode_rpdo1_dac(centred[-1])[:3] == CENTRED
     assert verify(recording).frames_compared > 0
+
+
+def test_boards_of_their_own_print_a_fault_that_begins_and_refuse_what_they_cannot_see(
+    rig: str, candump: Candump, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "firmware_sim", "--linear", "--bus", "vcan0", "--rig", rig]
+    refused = subprocess.run([*command, "--fault", "lose:sample@armed"], capture_output=True, text=True)
+    assert refused.returncode == 2
+    assert "waits for the gateway's state 'armed', which no frame on the bus shows" in refused.stderr
+    with process([*command, "--fault", "reset:dac@running+0.1"], stdout=subprocess.PIPE) as boards:
+        assert boards.stdout is not None
+        for line in boards.stdout:
+            if line.startswith("join with"):
+                break
+        with process(run_command(rig, tmp_path / "reset.mcap", 60, vertical="sine:0.1@0.1/1")) as run:
+            candump.until(is_moving, run)
+            moves_s = next(at_s for at_s, *frame in candump.frames if is_off_centre(*frame))
+            printed = re.fullmatch(r"\((\d+\.\d+)\) (.+) begins\n", boards.stdout.readline())
+            assert printed, "one line with candump's time"
+            assert printed[2] == "reset:dac@running+0.1"
+            assert moves_s + 0.1 - STAMPS_S <= float(printed[1]) < moves_s + 0.1 + STALL_S
+            assert run.wait(TIMEOUT_S) == 1, "a board that restarts is a fault"

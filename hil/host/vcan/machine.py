@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
 import selectors
 import shutil
 import signal
@@ -18,6 +17,8 @@ from hil.host.vcan.guest_job import GuestJob
 from hil.host.vcan.xsave_area import xsave_area_library
 
 _MAX_MEMORY_BYTES: Final = 2 << 30
+_NICE: Final = -20
+"""Priority of the machine among ordinary programs, the highest one."""
 
 _KERNEL_ARGUMENTS: Final = (
     "rootfstype=hostfs rootflags=/ rw init=/bin/sh quiet con=null "
@@ -161,17 +162,23 @@ def _preloaded(job: GuestJob) -> str:
 
 
 def _take_priority() -> None:
-    """Give the machine real-time priority where that is granted, so that a loop in it is as punctual.
+    """Put the machine before all ordinary programs where that is granted, on one processor.
 
-    Not on a single processor: a busy command in the machine would block everything else. Not under a limit
-    RLIMIT_RTTIME: the kernel would kill a busy machine.
+    The machine consists of a process for its kernel and one for each of its programs, which run in turns. On
+    several processors, each turn wakes another processor, which takes several times as long beside other
+    programs. A machine that may have to wait for others must be able to move to an idle processor.
+
+    It takes no real-time priority: a command in it may be busy for seconds. Linux then lets ordinary programs
+    run for 50 ms in each second, and stops all real-time programs on that processor meanwhile.
     """
-    if (
-        len(os.sched_getaffinity(0)) > 1
-        and resource.getrlimit(resource.RLIMIT_RTTIME)[1] == resource.RLIM_INFINITY
-    ):
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
+    except OSError:
+        return
+    with contextlib.suppress(OSError):  # Where sessions share the processors, the session counts.
+        Path("/proc/self/autogroup").write_text(str(_NICE))
+    processors = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {processors[os.getpid() % len(processors)]})
 
 
 def _memory_bytes() -> int:

@@ -22,7 +22,7 @@ def arm() -> Arm:
 @pytest.fixture
 def rig(arm: Arm) -> FaultyRig:
     settings = load_rig(None)
-    made = FaultyRig(settings, SimulatedRig(settings, arm))
+    made = FaultyRig(settings, SimulatedRig(settings, arm), is_told_states=True)
     made.start(0)
     return made
 
@@ -70,6 +70,35 @@ def test_a_fault_with_a_time_or_a_condition_is_armed(arm: Arm, rig: FaultyRig) -
     rig.on_deadline(500_000_010)
     assert [text for _, text in rig.begun] == ["payload:3@0.5"]
     assert arm.view().payload_kg == 3.0
+
+
+def test_a_fault_that_begins_is_reported_with_its_instant(rig: FaultyRig) -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.setblocking(False)
+    events = EventInput(rig, theirs.detach())
+    ours.send(b"unplug/0.5")
+    events.update(10)
+    ours.send(b"hang:adc@0.5")
+    events.update(20)
+    with pytest.raises(BlockingIOError):
+        ours.recv(1000)
+    rig.on_deadline(500_000_020)
+    assert [ours.recv(1000), ours.recv(1000)] == [b"10 unplug@0/0.5", b"500000020 hang:adc@0.5"]
+    ours.close()
+    rig.plan("hang:dac@0", 600_000_000)
+    rig.on_deadline(600_000_000)
+    assert rig.begun[-1] == (600_000_000, "hang:dac@0"), "also without a gateway to report to"
+
+
+def test_a_fault_can_wait_for_a_state_of_the_gateway(rig: FaultyRig) -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    events = EventInput(rig, theirs.detach())
+    for now_ns, text in enumerate((b"state ready", b"hang:adc@armed", b"state armed")):
+        assert rig.begun == []
+        ours.send(text)
+        events.update(now_ns)
+        rig.on_deadline(now_ns)
+    assert rig.begun == [(2, "hang:adc@armed")]
 
 
 def test_events_are_checked_with_the_rig_and_the_plant() -> None:

@@ -13,7 +13,8 @@ from firmware_sim.simulated_rig import SimulatedRig
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
 from hil.lockstep_rig import LockstepRig
-from hil.recording.recorder import FAULTS_BEGUN
+from hil.recording.recorder import FAULT_SOURCE, FAULTS_BEGUN
+from hil.shells.replay import verify
 
 MS = 1_000_000
 SAMPLE, DAC_HEARTBEAT = 0x190, 0x720
@@ -81,6 +82,53 @@ def test_running_is_the_first_command_that_is_not_the_centre() -> None:
     assert bench.samples([100]) == [100]
     bench.send(command((5.0, 5.1, 5.0), 1))
     assert bench.samples([110]) == []
+
+
+@pytest.mark.parametrize(
+    ("condition", "states", "begins"),
+    [
+        ("armed", "offline ready armed", True),
+        ("fault", "offline ready armed running", False),
+        ("fault", "offline ready armed running fault", True),
+        ("ready", "armed", False),
+        ("offline", "offline", True),
+    ],
+)
+def test_a_state_of_the_gateway_is_a_condition(condition: str, states: str, begins: bool) -> None:
+    rig = FaultyRig(RIG, SimulatedRig(RIG, HandPlant()), [f"reset:dac@{condition}+0.02"], is_told_states=True)
+    for number, state in enumerate(states.split()):
+        rig.gateway_entered(state, number * MS)
+    due_ns = number * MS + 20 * MS
+    assert rig.on_deadline(due_ns - 1) == ()
+    assert rig.on_deadline(due_ns) == ((Frame(DAC_HEARTBEAT, b"\x00"),) if begins else ())
+
+
+def test_a_fault_that_is_armed_in_the_state_for_which_it_waits_begins_at_the_next_sample() -> None:
+    rig = LockstepRig()
+    rig.bring_up()
+    rig.arm()
+    rig.inject_fault("hang:adc@armed")
+    assert rig.faults_begun == []
+    rig.step(1)
+    assert [text for _, text in rig.faults_begun] == ["hang:adc@armed"]
+
+
+@pytest.mark.parametrize("bit_rate", [None, 500_000])
+def test_each_state_of_a_run_in_simulated_time_is_a_condition(bit_rate: int | None) -> None:
+    """Also a state that lasts for less than a period: the rig is armed and started in the same instant."""
+    states = ("offline", "ready", "armed", "running", "fault")
+    rig = LockstepRig(
+        setpoints={"vertical": "step:0.05@0"}, faults=[f"payload:0@{s}" for s in states], bit_rate=bit_rate
+    )
+    rig.bring_up()
+    rig.arm()
+    rig.start()
+    rig.step(5)
+    assert [text.partition("@")[2] for _, text in rig.faults_begun] == list(states[:-1])
+    rig.inject_fault("unplug@0")
+    rig.step(20)
+    assert rig.state.name == "FAULT"
+    assert [text.partition("@")[2] for _, text in rig.faults_begun] == [*states[:-1], "0", "fault"]
 
 
 def test_no_frame_passes_while_the_cable_is_unplugged_and_bus_off_is_reported_once() -> None:
@@ -160,7 +208,14 @@ def test_an_injected_fault_counts_from_now() -> None:
     [
         ("freeze-sensor:elbow@0", "fault 'freeze-sensor:elbow@0': no axis 'elbow'; the rig has vertical"),
         ("hang:adc@elbow>1", "when: no axis 'elbow'; the rig has vertical, horizontal, rotation"),
-        ("payload:3@0", "acts on the pneumatic arm, but another plant is simulated"),
+        (
+            "payload:3@0",
+            "acts on the pneumatic arm, but another plant is simulated: simulate the arm, or use",
+        ),
+        (
+            "lose:sample@armed+1",
+            "waits for the gateway's state 'armed', which no frame on the bus shows: let",
+        ),
     ],
 )
 def test_a_fault_that_the_rig_cannot_have_is_refused(fault: str, problem: str) -> None:
@@ -191,6 +246,11 @@ def test_the_recording_has_the_faults_that_began(tmp_path: Path) -> None:
     rig = lockstep_run(tmp_path / "run.mcap", 1)
     from hil.recording import open_recording
 
-    begun = open_recording(tmp_path / "run.mcap").metadata[FAULTS_BEGUN]
+    recording = open_recording(tmp_path / "run.mcap")
+    begun = recording.metadata[FAULTS_BEGUN]
     assert " ".join(begun.values()).split() == [text for _, text in rig.faults_begun]
     assert len(rig.faults_begun) == 3
+    logged = [(at_ns, entry.text) for at_ns, entry in recording.log() if entry.source == FAULT_SOURCE]
+    assert logged == [(at_ns, f"{text} begins") for at_ns, text in rig.faults_begun]
+    assert [entry.text for entry in rig.log if entry.source == FAULT_SOURCE] == [text for _, text in logged]
+    assert verify(recording).complete

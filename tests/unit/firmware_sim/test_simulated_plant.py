@@ -307,6 +307,40 @@ def test_a_scenario_may_not_act_on_a_linear_axis(tmp_path: Path) -> None:
         build_plant(SHIPPED_RIG, options("--plant", "vertical=paper", "--scenario", str(path)))
 
 
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        (["--linear"], "every axis has a linear model"),
+        (["--plant", "vertical=paper"], "vertical has a linear model"),
+    ],
+)
+@pytest.mark.parametrize("event", ["leak:vertical,1,1e-08", "broken-wire:vertical", "stuck-spool:vertical"])
+def test_a_fault_of_the_arm_may_not_act_on_a_linear_axis(
+    tmp_path: Path, given: list[str], problem: str, event: str
+) -> None:
+    said = (
+        f"fault '{event}.*' .*acts on the pneumatic arm, but {problem}: simulate the arm, or use .* Omit the"
+    )
+    with pytest.raises(DocumentError, match=said):
+        plant_texts(SHIPPED_RIG, options(*given, "--fault", f"{event}@running"))
+    scenario = tmp_path / "wire.toml"
+    scenario.write_text(
+        'title = "wire"\nduration_s = 1.0\n[[faults]]\nfault = "arm"\nwhen = "running"\n'
+        'event = { change = "broken wire", axis = "vertical", at_s = 0.0 }\n'
+    )
+    with pytest.raises(DocumentError, match="broken-wire:vertical"):
+        build_plant(SHIPPED_RIG, options("--plant", "vertical=paper", "--scenario", str(scenario)))
+
+
+def test_a_fault_of_the_whole_arm_needs_one_axis_of_it() -> None:
+    fault = ["--fault", "supply-pressure:300@1"]
+    with pytest.raises(DocumentError, match="every axis has a linear model"):
+        plant_texts(SHIPPED_RIG, options("--linear", *fault))
+    given = options("--plant", "vertical=paper", *fault, "--fault", "leak:rotation,1,1e-9@1")
+    plant, _ = build_plant(SHIPPED_RIG, given)
+    assert isinstance(build_boards(SHIPPED_RIG, plant, given), FaultyRig)
+
+
 FAULTY_SCENARIO = """
 title = "faults"
 duration_s = 3.0

@@ -28,6 +28,8 @@ EXAMPLES: list[tuple[str, AnyFault]] = [
     ("miscount:sample,-1,1@running", Miscount("sample", -1, 1, when="running")),
     ("hang:adc@vertical>0.05+0.5", Hang("adc", when="vertical>0.05", at_s=0.5)),
     ("bus-off@rotation<-1e-2/1", BusOff(when="rotation<-1e-2", for_s=1.0)),
+    ("hang:dac@armed+2", Hang("dac", when="armed", at_s=2.0)),
+    ("lose:sample,10%@fault/1", Lose("sample", "10%", when="fault", for_s=1.0)),
     ("flood:2047,0.001@0", Flood(0x7FF, 0.001)),
     ("error-frames@running/1", ErrorFrames(when="running", for_s=1.0)),
     ("error-frames:5%,adc@2", ErrorFrames("5%", "adc", at_s=2.0)),
@@ -49,7 +51,11 @@ def test_values_that_may_be_omitted_have_defaults() -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("lose:sample", "not a fault; write NAME:VALUES and its time (@SECONDS, @running, @AXIS>POSITION"),
+        ("lose:sample", "not a fault; write NAME:VALUES and its time (@SECONDS, @STATE, @AXIS>POSITION, "),
+        (
+            "lose:sample@jog",
+            "STATE is running (a command moves a valve), offline, ready, armed, fault). The",
+        ),
         ("lose:sample@never", "not a fault"),
         ("loose:sample@1", "there is no fault 'loose'; did you mean lose? The forms are: frames: lose:"),
         ("lose:samples@1", "frame is 'samples'"),
@@ -83,9 +89,18 @@ def test_a_scenario_file_lists_the_same_faults() -> None:
         fault = "bus off"
         at_s = 2.0
         for_s = 0.5
+        [[faults]]
+        fault = "hang"
+        board = "adc"
+        when = "ready"
+        at_s = 1.0
     """
     faults = read_scenario(text, "lost.toml").faults
-    assert [fault_text(fault) for fault in faults] == ["lose:sample,5@vertical>0.05", "bus-off@2/0.5"]
+    assert [fault_text(fault) for fault in faults] == [
+        "lose:sample,5@vertical>0.05",
+        "bus-off@2/0.5",
+        "hang:adc@ready+1",
+    ]
 
 
 def test_an_error_in_a_scenario_names_file_and_key() -> None:

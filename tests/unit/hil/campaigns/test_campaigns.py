@@ -26,6 +26,8 @@ from hil.cli.campaign import _PlainProgress
 from hil.core.errors import DocumentError, HilError
 from hil.core.frames import Frame
 from hil.recording import open_recording
+from hil.recording.recorder import FAULT_SOURCE
+from hil.shells.replay import verify
 
 TEXT = """
 title = "two faults"
@@ -181,7 +183,11 @@ def test_a_set_up_with_a_bit_rate_has_a_modelled_bus(tmp_path: Path) -> None:
     numbers = {case_at(shipped, number).fault_text: number for number in range(case_count(shipped) // 3)}
     destroyed = run_case(prepare(shipped), numbers["error-frames:10%@running+0.6"], tmp_path / "case.mcap")
     assert (destroyed.verdict, destroyed.state) == ("pass", "RUNNING")
-    assert int(open_recording(tmp_path / "case.mcap").metadata["ending"]["frames destroyed on the bus"]) > 10
+    recording = open_recording(tmp_path / "case.mcap")
+    assert int(recording.metadata["ending"]["frames destroyed on the bus"]) > 10
+    (logged,) = [entry.text for _, entry in recording.log() if entry.source == FAULT_SOURCE]
+    assert logged == "error-frames:10%@running+0.6 begins"
+    assert verify(recording).complete
     flooded = run_case(prepare(shipped), numbers["flood:1,0.0002@running+0.6"])
     assert (flooded.verdict, flooded.state) == ("pass", "FAULT")
 

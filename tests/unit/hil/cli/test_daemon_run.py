@@ -14,6 +14,7 @@ from hil.core.errors import OperationError, RequestRefusedError
 from hil.host.realtime_rights import Rights
 from hil.operation.client import Client, connect
 from hil.recording.reader import Recording
+from hil.recording.recorder import FAULT_SOURCE
 from hil.shells.replay import verify
 
 TIMEOUT_S = 60.0
@@ -64,6 +65,7 @@ def test_a_daemon_on_the_simulated_arm(tmp_path: Path) -> None:
         client.arm()
         client.start()
         assert client.event("payload:3") == "event payload:3 happens now"
+        assert client.event("payload:2@fault") == "event payload:2@fault is armed; its time counts from now"
         client.set_setpoint("vertical", 0.02)
         client.record_new()
         later = client.status().period + 3
@@ -76,8 +78,11 @@ def test_a_daemon_on_the_simulated_arm(tmp_path: Path) -> None:
         client.stop()
         assert "closes the recording" in client.shutdown()
     assert daemon.end() == 0
-    for name in ("run.mcap", "run-2.mcap", "run-3.mcap"):
+    names = ("run.mcap", "run-2.mcap", "run-3.mcap")
+    for name in names:
         assert verify(Recording(tmp_path / name)).complete
+    log = [entry for name in names for _, entry in Recording(tmp_path / name).log()]
+    assert [entry.text for entry in log if entry.source == FAULT_SOURCE] == ["payload:3@0 begins"]
     assert Recording(tmp_path / "run-3.mcap").metadata["ending"]["reason"] == "interrupted"
 
 
