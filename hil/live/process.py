@@ -19,13 +19,15 @@ def start_page_server(
     address: Address,
     *,
     feed: Path | None = None,
+    is_followed: bool = False,
     recording: Sequence[Path] | None = None,
     range_s: tuple[float | None, float | None] = (None, None),
     operator_socket: Path | None = None,
 ) -> subprocess.Popen[bytes]:
     """Start the process that serves the page at ``address``.
 
-    It reads the feed of a run from the file ``feed``, or plays the files of ``recording`` between the two
+    It reads the feed of a run from the file ``feed``; with ``is_followed``, ``feed`` is a daemon's link, and
+    after the end of a run the next one is shown. Or it plays the files of ``recording`` between the two
     times of ``range_s``. With ``operator_socket``, the page may operate the daemon that has that socket.
     """
     options = {
@@ -33,6 +35,7 @@ def start_page_server(
         "hosts": address.hosts,
         "token": address.token,
         "feed": None if feed is None else str(feed),
+        "is_followed": is_followed,
         "recording": None if recording is None else [str(path) for path in recording],
         "range_s": range_s,
         "operate": None if operator_socket is None else str(operator_socket),
