@@ -13,6 +13,7 @@ import asyncio
 import contextlib
 import hmac
 import json
+import logging
 import os
 import socket
 import sys
@@ -25,7 +26,7 @@ from typing import Any, Protocol
 from urllib.parse import urlsplit
 
 import numpy as np
-from tornado import httpserver, ioloop, web, websocket
+from tornado import httpserver, ioloop, iostream, web, websocket
 
 from hil.core.errors import OperationError
 from hil.live.current_run import CurrentRun
@@ -44,8 +45,14 @@ MAX_ANSWERS = 20
 """Number of answers that wait for a viewer; older ones are dropped."""
 MAX_REQUEST_BYTES = 100_000
 """Longest message of a viewer. A controller document fits in."""
+MAX_ERROR_CHARACTERS = 300
+"""Longest text that says why a message is no request. A longer one is cut off."""
 HEARTBEAT_S = 1.0
 """Longest time without a message. So a page notices that it has lost a server that closed no connection."""
+MAX_CONNECTIONS = 256
+"""Number of open connections, of viewers and others."""
+REQUEST_TIMEOUT_S = 30.0
+"""Time in which a new connection must send its request."""
 CONTENT_SECURITY = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:"
 PAGE_FOLDER = Path(__file__).parent / "page"
 LIBRARY_FILES = ("bokeh.min.js", "bokeh-api.min.js")
@@ -106,8 +113,9 @@ class Viewer(websocket.WebSocketHandler):
             if not isinstance(request, dict):
                 raise ValueError("a request is a JSON object")
             answer = await asyncio.to_thread(self.source.request, request)
-        except (ValueError, KeyError, TypeError) as error:
-            answer = {"reply": {"accepted": False, "text": f"not a request: {error}"}}
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            text = f"not a request: {error}"[:MAX_ERROR_CHARACTERS]
+            answer = {"reply": {"accepted": False, "text": text}}
         if answer is None:
             return
         if isinstance(request, dict) and isinstance(request.get("id"), int):
@@ -174,6 +182,17 @@ def has_token(handler: web.RequestHandler) -> bool:
     return hmac.compare_digest(given.encode(), handler.application.settings["token"].encode())
 
 
+class Server(httpserver.HTTPServer):
+    """The HTTP server, with a limit of open connections."""
+
+    def handle_stream(self, stream: iostream.IOStream, address: tuple[str, int]) -> None:
+        """Serve a connection, or close it if too many are open."""
+        if len(self._connections) >= MAX_CONNECTIONS:
+            stream.close()
+        else:
+            super().handle_stream(stream, address)
+
+
 def application(hosts: list[str], token: str, make_source: object) -> web.Application:
     """Return the server's application."""
     bokeh = find_spec("bokeh")
@@ -212,7 +231,7 @@ def serve(options: dict[str, Any]) -> None:
         app = application(options["hosts"], options["token"], lambda: RunSource(current, operator))
         update = partial(_update_from_run, app, current, operator, loop)
         ioloop.PeriodicCallback(partial(_update_readings, app, current), READINGS_MS).start()
-    server = httpserver.HTTPServer(app, max_header_size=16384, max_body_size=0)
+    server = Server(app, max_header_size=16384, max_body_size=0, idle_connection_timeout=REQUEST_TIMEOUT_S)
     server.add_socket(socket.socket(fileno=options["listen"]))
     ioloop.PeriodicCallback(update, UPDATE_MS).start()
     loop.start()
@@ -241,9 +260,16 @@ def _update_viewers(app: web.Application) -> None:
         loop.add_callback(viewer.update)
 
 
+def be_quiet() -> None:
+    """Print nothing about requests: what a viewer sends is not the user's concern."""
+    for name in ("tornado.access", "tornado.general"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
 def main(descriptor: int) -> None:
     """Read the options from ``descriptor`` and serve."""
     os.nice(5)
+    be_quiet()
     with open(descriptor) as pipe:
         options = json.load(pipe)
     with contextlib.suppress(OperationError):  # The run has ended before this process began.

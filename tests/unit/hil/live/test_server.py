@@ -150,7 +150,7 @@ class LivePage(AsyncHTTPTestCase):
 
     @patient
     async def test_garbage_is_answered_with_the_reason(self) -> None:
-        for message in ("{", "[1]", '"text"', "\x00"):
+        for message in ("{", "[1]", '"text"', "\x00", "[" * 50_000, '{"speed": 1' + 400 * "0" + "}"):
             answer = await self.answer_to(message)
             assert not answer["accepted"]
             assert answer["text"].startswith(("not a request", "this page only shows"))
