@@ -52,7 +52,9 @@ def main(argv: list[str]) -> int:
     options = parser().parse_args(argv)
     _check(options)
     if options.foxglove is not None:
-        process, url = start_foxglove_server(_feed_of_daemon(options), options.host, options.foxglove)
+        process, url = start_foxglove_server(
+            _feed_of_daemon(options), options.host, options.foxglove, is_followed=True
+        )
     else:
         feed = None if options.recording else _feed_of_daemon(options)
         operator_socket = _socket(options) if options.operate else None
