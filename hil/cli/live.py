@@ -15,7 +15,8 @@ from hil.live.address import add_address_options, open_address
 DESCRIPTION = """\
 Show the running daemon, or play a recording, on a page in the browser. The page has every period of the last
 ten minutes, also of the time before it was opened. A recording has a time slider and is played at any speed.
-With --foxglove, serve the daemon to Foxglove instead of the page. Ctrl-C ends the page, not the daemon."""
+With --foxglove, serve the daemon to Foxglove instead of the page. After a restart of the daemon, the same
+address shows its next run. Ctrl-C ends the page, not the daemon."""
 
 
 def parser() -> CommandParser:
@@ -51,7 +52,9 @@ def main(argv: list[str]) -> int:
     options = parser().parse_args(argv)
     _check(options)
     if options.foxglove is not None:
-        process, url = start_foxglove_server(_feed_of_daemon(options), options.host, options.foxglove)
+        process, url = start_foxglove_server(
+            _feed_of_daemon(options), options.host, options.foxglove, is_followed=True
+        )
     else:
         feed = None if options.recording else _feed_of_daemon(options)
         operator_socket = _socket(options) if options.operate else None
@@ -59,6 +62,7 @@ def main(argv: list[str]) -> int:
             process = start_page_server(
                 address,
                 feed=feed,
+                is_followed=True,
                 recording=options.recording or None,
                 range_s=(options.from_s, options.to_s),
                 operator_socket=operator_socket,
@@ -69,9 +73,16 @@ def main(argv: list[str]) -> int:
     for ending in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(ending, lambda received, _frame: sys.exit(128 + received))  # the server ends too
     try:
-        return process.wait()
+        status = process.wait()
     finally:
         process.terminate()
+    if status >= 0:
+        return status
+    sys.stderr.write(
+        f"hil live: the serving process was ended by {signal.Signals(-status).name}. Nothing else is "
+        "affected; start `hil live` again\n"
+    )
+    return 1
 
 
 def _check(options: argparse.Namespace) -> None:

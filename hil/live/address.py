@@ -27,6 +27,7 @@ class Address:
     hosts: list[str]
     """Values of the header ``Host`` that are accepted, with the port."""
     token: str
+    scheme: str = "http"
 
     def __enter__(self) -> Address:
         return self
@@ -37,8 +38,8 @@ class Address:
 
     @property
     def url(self) -> str:
-        """Address for the browser, with the token."""
-        return f"http://{self.hosts[0]}/?token={self.token}"
+        """Address for the browser or for Foxglove, with the token."""
+        return f"{self.scheme}://{self.hosts[0]}/?token={self.token}"
 
 
 def open_address(host: str = LOOPBACK, port: int = 0) -> Address:
@@ -48,6 +49,28 @@ def open_address(host: str = LOOPBACK, port: int = 0) -> Address:
     """
     check_installed()
     warn_of_network("the page", host)
+    return _listen(host, port, "http", "the page cannot be served on {}: {}; choose another --port or --host")
+
+
+def open_stream_address(host: str, port: int) -> Address:
+    """Listen for Foxglove on ``host`` and ``port`` (0: any free one). Raises EnvironmentLackError.
+
+    Warns if other machines can open the stream.
+    """
+    if importlib.util.find_spec("foxglove") is None or importlib.util.find_spec("tornado") is None:
+        raise EnvironmentLackError(
+            "--foxglove needs foxglove-sdk and tornado: run `pip install 'pneumatic-hil[foxglove]'`"
+        )
+    warn_of_network("the stream for Foxglove", host)
+    message = (
+        "the stream for Foxglove cannot be served on {}: {}; choose another port, such as --foxglove "
+        f"{port % MAX_PORT + 1}, or another --host"
+    )
+    return _listen(host, port, "ws", message)
+
+
+def _listen(host: str, port: int, scheme: str, message: str) -> Address:
+    """Listen. ``message``: of the error, with places for address and reason."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -55,28 +78,23 @@ def open_address(host: str = LOOPBACK, port: int = 0) -> Address:
         listener.listen(32)
     except OSError as error:
         listener.close()
-        raise EnvironmentLackError(
-            f"the page cannot be served on {host}:{port}: {error.strerror}; choose another --port or --host"
-        ) from None
+        raise EnvironmentLackError(message.format(f"{host}:{port}", error.strerror)) from None
     listener.setblocking(False)
     port = listener.getsockname()[1]
     names = [host] if host not in (LOOPBACK, "0.0.0.0") else [LOOPBACK, "localhost"]
     if host == "0.0.0.0":
         names = [socket.gethostname(), *names]
-    return Address(listener, [f"{name}:{port}" for name in names], secrets.token_urlsafe(TOKEN_BYTES))
+    return Address(listener, [f"{name}:{port}" for name in names], secrets.token_urlsafe(TOKEN_BYTES), scheme)
 
 
 def warn_of_network(what: str, host: str) -> None:
     """Warn if ``host`` is an address that other machines can reach."""
     if host in (LOOPBACK, "localhost"):
         return
-    if what == "the page":
-        risk = "can read the token, and then sees what the page shows and does what it may"
-    else:
-        risk = "sees it, because it has no token"
+    risk = "sees what the page shows and does what it may" if what == "the page" else "sees it"
     sys.stderr.write(
         f"hil: {what} is served on {host}, without encryption: whoever can reach this machine on the network "
-        f"{risk}\n"
+        f"can read the token, and then {risk}\n"
     )
 
 

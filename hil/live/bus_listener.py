@@ -8,7 +8,7 @@ from collections.abc import Callable
 from time import monotonic_ns
 
 from hil.core.errors import HilError
-from hil.core.rig import read_rig
+from hil.core.rig import Rig, read_rig
 from hil.links import open_link
 from hil.views.bus_watch import BusWatch
 
@@ -18,21 +18,28 @@ INTERVAL_NS = 1_000_000_000
 """Time between two reports."""
 
 
-def listen(bus: str, rig_text: str, report: Callable[[dict[str, str]], None]) -> None:
-    """Start a thread that listens to ``bus`` and reports counts by their names, once a second.
+def listen(bus: str, rig_text: str, report: Callable[[dict[str, str]], None], ended: threading.Event) -> None:
+    """Start a thread that listens to ``bus`` until ``ended``, and reports counts by name once a second.
 
     A serial adapter serves one program alone and is not opened. A bus that cannot be opened, or fails, is not
     reported.
     """
-    if not bus.startswith("slcan"):
-        threading.Thread(target=_listen, args=(bus, rig_text, report), daemon=True).start()
+    if bus.startswith("slcan"):
+        return
+    try:
+        # Not in the thread: msgspec crashes if two threads use a type for the first time at once, and after a
+        # restart of the daemon the thread of the former run may not have ended.
+        rig = read_rig(rig_text, "rig.toml")
+    except HilError:
+        return
+    threading.Thread(target=_listen, args=(bus, rig, report, ended), daemon=True).start()
 
 
-def _listen(bus: str, rig_text: str, report: Callable[[dict[str, str]], None]) -> None:
+def _listen(bus: str, rig: Rig, report: Callable[[dict[str, str]], None], ended: threading.Event) -> None:
     with contextlib.suppress(HilError, OSError), open_link(bus) as link:
-        watch = BusWatch(read_rig(rig_text, "rig.toml"), BIT_RATE)
+        watch = BusWatch(rig, BIT_RATE)
         next_ns = monotonic_ns() + INTERVAL_NS
-        while True:
+        while not ended.is_set():
             received = link.receive(0.2)
             now_ns = monotonic_ns()
             if received is not None:

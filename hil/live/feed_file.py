@@ -196,6 +196,21 @@ class FeedReader:
         os.close(self._descriptor)
 
 
+def running_feed(path: Path) -> FeedReader | None:
+    """Return the feed at ``path``, as for ``FeedReader``, or None if no run writes it now.
+
+    The link of a daemon that was killed stays, and the feed of one that begins is not complete yet.
+    """
+    try:
+        feed = FeedReader(path)
+    except OperationError:
+        return None
+    if feed.is_over():
+        feed.close()
+        return None
+    return feed
+
+
 def link_beside(socket_path: Path) -> Path:
     """Return the path of the link to the feed of the daemon with the socket ``socket_path``."""
     return socket_path.with_name(socket_path.name + LINK_SUFFIX)

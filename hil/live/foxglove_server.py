@@ -1,24 +1,35 @@
-"""The process that serves a run to Foxglove: ``python -m hil.live.foxglove_server FEED HOST PORT``.
+"""The process that serves a run to Foxglove: ``python -m hil.live.foxglove_server DESCRIPTOR``.
 
-It reads the feed of a run, and publishes it with the topics and message definitions of a recording, so that
-one layout shows both. It offers no capability: a client can change nothing. It prints its address when it is
-ready. A client that is slow loses the oldest messages; the library limits what waits for it.
+It reads its options as JSON from the descriptor. It reads the feed of a run, and publishes it with the
+topics and message definitions of a recording, so that one layout shows both. It offers no capability: a
+client can change nothing. A client that is slow loses the oldest messages; the library limits what waits
+for it. Clients come through the door, which asks for the token.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
+import socket
 import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import foxglove
+from tornado import ioloop
 
-from hil.live.feed_file import FeedReader
+from hil.core.errors import OperationError
+from hil.live.feed_file import FeedReader, running_feed
+from hil.live.foxglove_door import Door, Endpoint, application, hidden_address
 from hil.live.foxglove_messages import Message, Packer
+from hil.live.server import REQUEST_TIMEOUT_S, Server, be_quiet
 
-INTERVAL_S = 0.05
+INTERVAL_MS = 50
 """Time between two readings of the feed."""
+SEARCH_INTERVAL_MS = 500
+"""Time between two attempts to find the feed of a daemon's next run."""
 
 
 class Publisher:
@@ -44,32 +55,97 @@ class Publisher:
             self._channels[topic].log(payload, log_time=log_time_ns)
 
 
-def serve(feed: FeedReader, host: str, port: int) -> None:
-    """Serve until the run has ended. Raises RuntimeError if the port is in use."""
-    packer = Packer(feed.run)
-    context = foxglove.Context()
-    publisher = Publisher(packer, context)
-    packer.take(feed)  # what was before the first client is not published
-    server = foxglove.start_server(name="pneumatic-hil", host=host, port=port, context=context)
-    sys.stdout.write(f"ws://{host}:{server.port}\n")
-    sys.stdout.flush()
-    is_over = False
-    while not is_over:
-        time.sleep(INTERVAL_S)  # The feed wakes no reader, so that the loop makes no system call for it.
-        is_over = feed.is_over()  # before the last reading, so that nothing is missed
-        publisher.publish(packer.take(feed))
-    server.stop()
+class Stream:
+    """One run, served by the library behind the door."""
+
+    def __init__(self, feed: FeedReader) -> None:
+        self._feed = feed
+        self._packer = Packer(feed.run)
+        self._context = foxglove.Context()  # channels do not keep it alive
+        self._publisher = Publisher(self._packer, self._context)
+        self._packer.take(feed)  # what was before the first client is not published
+        host = hidden_address()
+        self._server = foxglove.start_server(name="pneumatic-hil", host=host, port=0, context=self._context)
+        self.endpoint: Endpoint = (host, self._server.port)
+        """Where the library's server listens."""
+
+    def publish(self) -> bool:
+        """Publish what is new. Return False after the end of the run."""
+        is_over = self._feed.is_over()  # before the last reading, so that nothing is missed
+        self._publisher.publish(self._packer.take(self._feed))
+        return not is_over
+
+    def close(self) -> None:
+        """Disconnect the clients."""
+        self._server.stop()
+        self._feed.close()
 
 
-def main(feed: str, host: str, port: str) -> int:
-    """Serve the feed, and return the exit status."""
+class Streams:
+    """The stream of one run, or with ``is_followed`` of one run after another of a daemon."""
+
+    def __init__(
+        self, feed: Path, *, is_followed: bool, loop: ioloop.IOLoop, disconnect: Callable[[], None]
+    ) -> None:
+        """``disconnect`` ends the connections of all clients."""
+        self._path = feed
+        self._is_followed = is_followed
+        self._disconnect = disconnect
+        self._loop = loop
+        self._stream: Stream | None = Stream(FeedReader(feed))
+        self._endpoint = self._stream.endpoint
+
+    def endpoint(self) -> Endpoint:
+        """Return where the library's server listens, or listened last."""
+        return self._endpoint
+
+    def update(self) -> None:
+        """Publish what is new of the run, or look for the next one."""
+        if self._stream is None:
+            feed = running_feed(self._path)
+            if feed is None:
+                self._loop.call_later(SEARCH_INTERVAL_MS * 1e-3, self.update)
+                return
+            self._stream = Stream(feed)
+            self._endpoint = self._stream.endpoint
+        elif not self._stream.publish():
+            self._disconnect()  # The library's server waits for the end of its connections.
+            self._stream.close()
+            self._stream = None
+            if not self._is_followed:
+                self._loop.stop()
+                return
+        self._loop.call_later(INTERVAL_MS * 1e-3, self.update)
+
+
+def serve(options: dict[str, Any]) -> None:
+    """Serve until the last run has ended."""
+    loop = ioloop.IOLoop.current()
+    clients: set[Door] = set()
+
+    def disconnect() -> None:
+        for client in clients:
+            client.disconnect()
+
+    streams = Streams(
+        Path(options["feed"]), is_followed=options["is_followed"], loop=loop, disconnect=disconnect
+    )
+    app = application(options["hosts"], options["token"], streams.endpoint, clients)
+    server = Server(app, max_header_size=16384, max_body_size=0, idle_connection_timeout=REQUEST_TIMEOUT_S)
+    server.add_socket(socket.socket(fileno=options["listen"]))
+    loop.add_callback(streams.update)
+    loop.start()
+
+
+def main(descriptor: int) -> None:
+    """Read the options from ``descriptor`` and serve."""
     os.nice(5)
-    try:
-        serve(FeedReader(Path(feed)), host, int(port))
-    except RuntimeError:  # the parent process says that the port is in use
-        return 1
-    return 0
+    be_quiet()
+    with open(descriptor) as pipe:
+        options = json.load(pipe)
+    with contextlib.suppress(OperationError):  # The run has ended before this process began.
+        serve(options)
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    main(int(sys.argv[1]))

@@ -47,11 +47,20 @@ class History:
         self._rows[np.arange(begin, begin + len(kept)) % self._capacity] = kept
         self.end += len(rows)
 
-    def since(self, begin: int) -> Rows:
-        """Return the rows from number ``begin`` on, or the oldest ones that the ring still holds."""
-        begin = max(begin, self.end - self._capacity, 0)
-        first, last = begin % self._capacity, self.end % self._capacity
-        if self.end - begin == 0:
+    @property
+    def begin(self) -> int:
+        """Number of the oldest row that the ring still holds."""
+        return max(self.end - self._capacity, 0)
+
+    def since(self, begin: int, limit: int | None = None) -> Rows:
+        """Return the rows from number ``begin`` on, or the oldest ones that the ring still holds.
+
+        ``limit``: largest number of rows.
+        """
+        begin = max(begin, self.begin)
+        end = self.end if limit is None else min(begin + limit, self.end)
+        first, last = begin % self._capacity, end % self._capacity
+        if end <= begin:
             return self._rows[:0]
         if first < last:
             return self._rows[first:last].copy()

@@ -26,6 +26,13 @@ class DaemonOperator:
         self._client: Client | None = None
         self._lock = threading.Lock()
 
+    def disconnect(self) -> None:
+        """Forget the connection to a daemon that has ended; the next request opens another."""
+        with self._lock:
+            if self._client is not None:
+                self._client.close()
+            self._client = None
+
     def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Make a request of ``hil.operation.protocol`` and return ``accepted`` and ``text``.
 

@@ -3,45 +3,65 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from hil.core.errors import EnvironmentLackError
-from hil.live.address import Address, warn_of_network
+from hil.live.address import Address, open_stream_address
 
 
 def start_page_server(
     address: Address,
     *,
     feed: Path | None = None,
+    is_followed: bool = False,
     recording: Sequence[Path] | None = None,
     range_s: tuple[float | None, float | None] = (None, None),
     operator_socket: Path | None = None,
 ) -> subprocess.Popen[bytes]:
     """Start the process that serves the page at ``address``.
 
-    It reads the feed of a run from the file ``feed``, or plays the files of ``recording`` between the two
+    It reads the feed of a run from the file ``feed``; with ``is_followed``, ``feed`` is a daemon's link, and
+    after the end of a run the next one is shown. Or it plays the files of ``recording`` between the two
     times of ``range_s``. With ``operator_socket``, the page may operate the daemon that has that socket.
     """
     options = {
-        "listen": address.listener.fileno(),
-        "hosts": address.hosts,
-        "token": address.token,
         "feed": None if feed is None else str(feed),
+        "is_followed": is_followed,
         "recording": None if recording is None else [str(path) for path in recording],
         "range_s": range_s,
         "operate": None if operator_socket is None else str(operator_socket),
     }
+    return _start("hil.live.server", address, options)
+
+
+def start_foxglove_server(
+    feed: Path, host: str, port: int, *, is_followed: bool = False
+) -> tuple[subprocess.Popen[bytes], str]:
+    """Start the process that serves the feed of a run to Foxglove. Return it and the address for Foxglove.
+
+    With ``is_followed``, ``feed`` is a daemon's link, and after the end of a run the next one is served.
+    Warns if other machines can read the stream. Raises EnvironmentLackError if a package is not installed or
+    the port is in use.
+    """
+    with open_stream_address(host, port) as address:
+        options = {"feed": str(feed), "is_followed": is_followed}
+        return _start("hil.live.foxglove_server", address, options), address.url
+
+
+def _start(module: str, address: Address, options: dict[str, Any]) -> subprocess.Popen[bytes]:
+    """Start a process that serves at ``address``. It reads its options and the token from a pipe."""
+    listener = address.listener.fileno()
+    options = {**options, "listen": listener, "hosts": address.hosts, "token": address.token}
     read_end, write_end = os.pipe()
     process = subprocess.Popen(
         # -P: modules in the working directory are not imported.
-        [sys.executable, "-P", "-m", "hil.live.server", str(read_end)],
-        pass_fds=[read_end, address.listener.fileno()],
+        [sys.executable, "-P", "-m", module, str(read_end)],
+        pass_fds=[read_end, listener],
         stdin=subprocess.DEVNULL,
         start_new_session=True,  # Ctrl-C in the terminal must not end the page before the run.
     )
@@ -49,32 +69,3 @@ def start_page_server(
     with contextlib.suppress(BrokenPipeError), os.fdopen(write_end, "w") as pipe:  # no token in an argument
         json.dump(options, pipe)
     return process
-
-
-def start_foxglove_server(feed: Path, host: str, port: int) -> tuple[subprocess.Popen[bytes], str]:
-    """Start the process that serves the feed of a run to Foxglove. Return it and the address for Foxglove.
-
-    Warns if other machines can read the stream. Raises EnvironmentLackError if the package is not installed
-    or the port is in use.
-    """
-    if importlib.util.find_spec("foxglove") is None:
-        raise EnvironmentLackError(
-            "--foxglove needs foxglove-sdk: run `pip install 'pneumatic-hil[foxglove]'`"
-        )
-    warn_of_network("the stream for Foxglove", host)
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "hil.live.foxglove_server", str(feed), host, str(port)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        start_new_session=True,
-    )
-    assert process.stdout is not None
-    with process.stdout:
-        url = process.stdout.readline().decode().strip()
-    if not url:
-        process.wait()
-        raise EnvironmentLackError(
-            f"the stream for Foxglove cannot be served on {host}:{port}: choose another port, such as "
-            f"--foxglove {port + 1}, or another --host"
-        )
-    return process, url

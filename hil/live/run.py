@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from dataclasses import asdict
 from typing import Any
@@ -13,6 +14,8 @@ from hil.live.period_record import unpack_periods
 from hil.live.readings import readings
 
 MAX_LOG_ENTRIES = 500
+MISSED = "periods that this page missed"
+"""Name of the count of periods that the page does not have, because it or its server was too slow."""
 
 
 class Run:
@@ -38,7 +41,8 @@ class Run:
         """Rates and load of the bus, by their names; another object after each change."""
         self.is_over = False
         self._lost = 0
-        listen(feed.run.bus, rig_text, self._take_bus)
+        self._ended = threading.Event()
+        listen(feed.run.bus, rig_text, self._take_bus, self._ended)
 
     def update(self) -> None:
         """Take what is new in the feed."""
@@ -53,15 +57,21 @@ class Run:
             self.log_end += 1
         status = self._feed.status()
         if status is not None:
-            counts = {**status.counts, "periods that this page missed": self._lost}
             self.status = {
-                "counts": counts,
+                "counts": {**status.counts, MISSED: self._lost},
                 "fault": status.fault,
                 "readiness": status.readiness,
                 "recording": status.recording,
                 "controllers": status.controllers,
             }
         self.is_over = is_over
+        if is_over:
+            self._ended.set()
+
+    def close(self) -> None:
+        """Release the feed."""
+        self._ended.set()
+        self._feed.close()
 
     def update_readings(self) -> None:
         """Read the last step of every axis."""

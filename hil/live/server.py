@@ -10,11 +10,14 @@ another origin is refused (DNS rebinding, cross-site requests).
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
 import json
+import logging
 import os
 import socket
 import sys
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.util import find_spec
@@ -23,12 +26,13 @@ from typing import Any, Protocol
 from urllib.parse import urlsplit
 
 import numpy as np
-from tornado import httpserver, ioloop, web, websocket
+from tornado import httpserver, ioloop, iostream, web, websocket
 
-from hil.live.feed_file import FeedReader
+from hil.core.errors import OperationError
+from hil.live.current_run import CurrentRun
 from hil.live.history import Rows
 from hil.live.operator import DaemonOperator
-from hil.live.run import Run
+from hil.live.run_source import MAX_ROWS, RunSource
 
 UPDATE_MS = 50
 """Time between two updates of a viewer: 20 a second."""
@@ -41,6 +45,14 @@ MAX_ANSWERS = 20
 """Number of answers that wait for a viewer; older ones are dropped."""
 MAX_REQUEST_BYTES = 100_000
 """Longest message of a viewer. A controller document fits in."""
+MAX_ERROR_CHARACTERS = 300
+"""Longest text that says why a message is no request. A longer one is cut off."""
+HEARTBEAT_S = 1.0
+"""Longest time without a message. So a page notices that it has lost a server that closed no connection."""
+MAX_CONNECTIONS = 256
+"""Number of open connections, of viewers and others."""
+REQUEST_TIMEOUT_S = 30.0
+"""Time in which a new connection must send its request."""
 CONTENT_SECURITY = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:"
 PAGE_FOLDER = Path(__file__).parent / "page"
 LIBRARY_FILES = ("bokeh.min.js", "bokeh-api.min.js")
@@ -57,60 +69,6 @@ class Source(Protocol):
 
     def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
         """Take a request of the viewer; return an answer or None."""
-
-
-class RunSource:
-    """A run as one viewer sees it."""
-
-    def __init__(self, run: Run, operator: DaemonOperator | None) -> None:
-        self._run = run
-        self._operator = operator
-        self._next_row = 0
-        self._next_log = max(run.log_end - len(run.log), 0)
-        self._status: object = None
-        self._readings: object = None
-        self._bus: object = None
-        self._is_over = False
-
-    def begin(self) -> list[dict[str, Any]]:
-        """Return what the run is."""
-        return [
-            {
-                "run": self._run.information,
-                "mode": "run",
-                "may_operate": self._operator is not None,
-            }
-        ]
-
-    def take(self) -> tuple[list[dict[str, Any]], Rows]:
-        """Return messages and rows that are new since the last call."""
-        run = self._run
-        messages: list[dict[str, Any]] = []
-        new_entries = run.log_end - self._next_log
-        if new_entries:
-            messages.append({"log": list(run.log)[-new_entries:]})
-            self._next_log = run.log_end
-        if run.status is not self._status:
-            self._status = run.status
-            messages.append({"status": run.status})
-        if run.bus is not self._bus:
-            self._bus = run.bus
-            messages.append({"bus": run.bus})
-        if run.readings is not self._readings:
-            self._readings = run.readings
-            messages.append({"readings": run.readings})
-        if run.is_over and not self._is_over:
-            self._is_over = True
-            messages.append({"over": True})
-        rows = run.history.since(self._next_row)
-        self._next_row = run.history.end
-        return messages, rows
-
-    def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Pass an operator's request to the daemon."""
-        if self._operator is None:
-            return {"reply": {"accepted": False, "text": "this page only shows; start it with --operate"}}
-        return {"reply": self._operator.ask(request)}
 
 
 class Viewer(websocket.WebSocketHandler):
@@ -136,6 +94,7 @@ class Viewer(websocket.WebSocketHandler):
         self._answers: list[dict[str, Any]] = []
         self._is_sending = False
         self._is_first = True
+        self._sent_s = 0.0
         self.application.settings["viewers"].add(self)
 
     def on_close(self) -> None:
@@ -145,17 +104,23 @@ class Viewer(websocket.WebSocketHandler):
     async def on_message(self, message: str | bytes) -> None:
         """Take a request of the page. What is no request is answered with the reason.
 
-        The next message of this viewer is read after the answer. Another thread waits for a daemon.
+        The next message of this viewer is read after the answer. Another thread waits for a daemon. The
+        answer has the request's ``id``, if it is a number.
         """
+        request: Any = None
         try:
             request = json.loads(message)
             if not isinstance(request, dict):
                 raise ValueError("a request is a JSON object")
             answer = await asyncio.to_thread(self.source.request, request)
-        except (ValueError, KeyError, TypeError) as error:
-            answer = {"reply": {"accepted": False, "text": f"not a request: {error}"}}
-        if answer is not None:
-            self._answers = [*self._answers[-MAX_ANSWERS:], answer]
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            text = f"not a request: {error}"[:MAX_ERROR_CHARACTERS]
+            answer = {"reply": {"accepted": False, "text": text}}
+        if answer is None:
+            return
+        if isinstance(request, dict) and isinstance(request.get("id"), int):
+            answer["id"] = request["id"]
+        self._answers = [*self._answers[-MAX_ANSWERS:], answer]
 
     async def update(self) -> None:
         """Send what is new, unless the last update is still on its way: a slow viewer loses rows."""
@@ -169,10 +134,12 @@ class Viewer(websocket.WebSocketHandler):
             if self._is_first:
                 messages = self.source.begin() + messages
                 self._is_first = False
-            if messages:
+            if messages or time.monotonic() - self._sent_s > HEARTBEAT_S:
                 await self.write_message(json.dumps(messages))
-            if len(rows):
-                await self.write_message(np.ascontiguousarray(rows).tobytes(), binary=True)
+                self._sent_s = time.monotonic()
+            for begin in range(0, len(rows), MAX_ROWS):
+                part = np.ascontiguousarray(rows[begin : begin + MAX_ROWS])
+                await self.write_message(part.tobytes(), binary=True)
         except websocket.WebSocketClosedError:
             self.application.settings["viewers"].discard(self)
         finally:
@@ -215,6 +182,17 @@ def has_token(handler: web.RequestHandler) -> bool:
     return hmac.compare_digest(given.encode(), handler.application.settings["token"].encode())
 
 
+class Server(httpserver.HTTPServer):
+    """The HTTP server, with a limit of open connections."""
+
+    def handle_stream(self, stream: iostream.IOStream, address: tuple[str, int]) -> None:
+        """Serve a connection, or close it if too many are open."""
+        if len(self._connections) >= MAX_CONNECTIONS:
+            stream.close()
+        else:
+            super().handle_stream(stream, address)
+
+
 def application(hosts: list[str], token: str, make_source: object) -> web.Application:
     """Return the server's application."""
     bokeh = find_spec("bokeh")
@@ -226,7 +204,7 @@ def application(hosts: list[str], token: str, make_source: object) -> web.Applic
             (r"/", Page),
             (r"/stream", Viewer),
             (rf"/library/({names})", PageFile, {"path": library}),
-            (r"/page/(live\.js|chart\.js|live\.css)", PageFile, {"path": str(PAGE_FOLDER)}),
+            (r"/page/(live\.js|chart\.js|connection\.js|live\.css)", PageFile, {"path": str(PAGE_FOLDER)}),
         ],
         hosts=hosts,
         token=token,
@@ -249,29 +227,31 @@ def serve(options: dict[str, Any]) -> None:
         update = partial(_update_viewers, app)
     else:
         operator = None if options["operate"] is None else DaemonOperator(options["operate"])
-        run = Run(FeedReader(Path(options["feed"])))
-        app = application(options["hosts"], options["token"], lambda: RunSource(run, operator))
-        update = partial(_update_from_run, app, run, loop)
-        ioloop.PeriodicCallback(partial(_update_readings, app, run), READINGS_MS).start()
-    server = httpserver.HTTPServer(app, max_header_size=16384, max_body_size=0)
+        current = CurrentRun(Path(options["feed"]), is_followed=options["is_followed"])
+        app = application(options["hosts"], options["token"], lambda: RunSource(current, operator))
+        update = partial(_update_from_run, app, current, operator, loop)
+        ioloop.PeriodicCallback(partial(_update_readings, app, current), READINGS_MS).start()
+    server = Server(app, max_header_size=16384, max_body_size=0, idle_connection_timeout=REQUEST_TIMEOUT_S)
     server.add_socket(socket.socket(fileno=options["listen"]))
     ioloop.PeriodicCallback(update, UPDATE_MS).start()
     loop.start()
 
 
-def _update_from_run(app: web.Application, run: Run, loop: ioloop.IOLoop) -> None:
-    """Take what is new of the run, and send it to the viewers. After the end of the run, stop."""
-    was_over = run.is_over
-    if not was_over:
-        run.update()
+def _update_from_run(
+    app: web.Application, current: CurrentRun, operator: DaemonOperator | None, loop: ioloop.IOLoop
+) -> None:
+    """Take what is new of the run, and send it to the viewers. After the last run, stop."""
+    was_over = current.run.is_over
+    if current.update() and operator is not None:
+        operator.disconnect()
     _update_viewers(app)
-    if run.is_over and not was_over:
+    if current.run.is_over and not was_over and not current.is_followed:
         loop.call_later(LAST_UPDATES_S, loop.stop)
 
 
-def _update_readings(app: web.Application, run: Run) -> None:
-    if app.settings["viewers"]:
-        run.update_readings()
+def _update_readings(app: web.Application, current: CurrentRun) -> None:
+    if app.settings["viewers"] and not current.run.is_over:
+        current.run.update_readings()
 
 
 def _update_viewers(app: web.Application) -> None:
@@ -280,12 +260,20 @@ def _update_viewers(app: web.Application) -> None:
         loop.add_callback(viewer.update)
 
 
+def be_quiet() -> None:
+    """Print nothing about requests: what a viewer sends is not the user's concern."""
+    for name in ("tornado.access", "tornado.general"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
 def main(descriptor: int) -> None:
     """Read the options from ``descriptor`` and serve."""
     os.nice(5)
+    be_quiet()
     with open(descriptor) as pipe:
         options = json.load(pipe)
-    serve(options)
+    with contextlib.suppress(OperationError):  # The run has ended before this process began.
+        serve(options)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,21 @@
 
     python tests/benchmarks/bench_live.py [rounds]
 
-Runs alternate: without the page; with three viewers that receive everything and draw nothing, as viewers on
-other machines; and with one and three headless browsers, each a process of its own. Browsers draw without a
-graphics card here, and share the processors with loop and boards. Exit status 1: a target was missed.
+Needs a quiet machine, for less than six minutes with 7 rounds (the default).
+
+A round is a pair of runs: one without the page, one with the page and three viewers. Every second round has
+them in the other order, because other work on the machine comes and goes. The viewers are one process of
+the lowest priority that receives everything and draws nothing, as viewers on other machines do. If it has
+not received every period, the benchmark fails. Of each run the same time is used, which begins when viewers
+and loop have settled.
+
+The figure is the median over the rounds of the ratio of the two 99th percentiles, with smallest and
+largest. Beside it stands the ratio of the two halves of each run without the page: that is how far two 99th
+percentiles of the same thing are apart. A target is reached or missed by the median; the verdict says if
+the interval that has the true median with a probability of at least 90 % leaves it open.
+
+Then one and three headless browsers, each a process of its own. They draw without a graphics card here, and
+share the processors with loop and boards. Exit status 1: a target was missed.
 
 Response is the time from SYNC to the command, and includes the simulated boards, an ordinary process. Its
 part in the loop is the time from the sample to the command.
@@ -14,6 +26,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
+import math
 import os
 import shutil
 import signal
@@ -22,12 +36,14 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import timeit
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from playwright.sync_api import Playwright, sync_playwright
 from tornado.websocket import websocket_connect
 
@@ -36,23 +52,29 @@ from hil.core.output import AxisSignals, Cycle
 from hil.live.feed import LiveFeed
 from hil.live.feed_file import RunInformation
 
-ROUNDS = 3
-SETTLE_MS = 4000
-MEASURED_MS = 10_000
+ROUNDS = 7
+SETTLE_S = 3.0
+MEASURED_S = 14.0
+BROWSER_S = 15.0
 VIEWERS = 3
+PERIODS_PER_S = 1.0 / 0.0112
 MAX_RATIO = 1.05
 MAX_PROCESSOR_SHARE = 0.10
 MAX_DELAY_MS = 100.0
+MAX_LOAD = 0.5
+"""Load of the machine before, above which the figures are doubtful."""
 NAMES = ("lateness", "response", "sample to command")
 
+Times = npt.NDArray[np.float64]
 
-class Watched(NamedTuple):
-    """What was measured while a run was watched."""
 
+class Measured(NamedTuple):
+    """What was measured of a run."""
+
+    times_us: Times
+    """A column for each of ``NAMES``, a row for each period."""
     share: float
-    """Processor time of the serving process as a part of one processor."""
-    delays_ms: list[float]
-    """Time from sampled to drawn of each period, of every viewer; empty without a browser."""
+    """Processor time of the serving process as a part of one processor; 0 without the page."""
 
 
 def feed_cost_us() -> float:
@@ -78,7 +100,7 @@ def serving_process(run: subprocess.Popen[str]) -> int:
 def processor_s(process_id: int) -> float:
     """Return the processor time of a process."""
     fields = Path(f"/proc/{process_id}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / 100.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextlib.contextmanager
@@ -88,58 +110,100 @@ def running(path: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(
         [*command, "--no-plot", *options], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:
-        yield process
-        process.send_signal(signal.SIGINT)
-        assert process.stdout is not None
-        process.stdout.read()
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)
+            assert process.stdout is not None
+            process.stdout.read()
 
 
-def timing(path: Path) -> list[float]:
-    """Return the 99th percentiles of ``NAMES`` in microseconds."""
+def address_of(run: subprocess.Popen[str]) -> str:
+    """Return the address of the page of ``run``."""
+    assert run.stdout is not None
+    return run.stdout.readline().strip().removeprefix("page: ")
+
+
+def times_between(path: Path, begin_ns: int, end_ns: int) -> Times:
+    """Return the times of ``NAMES`` in microseconds, of the periods with a deadline between two instants."""
     table = hil.open_recording(path).timing()
-    table = table[table.fresh]
+    table = table[table.fresh & (table.deadline_ns >= begin_ns) & (table.deadline_ns < end_ns)]
     instants = (
         (table.deadline_ns, table.wake_ns),
         (table.wake_ns, table.sent_ns),
         (table.receive_ns, table.sent_ns),
     )
-    return [float(np.percentile(end - begin, 99)) * 1e-3 for begin, end in instants]
+    return np.column_stack([(end - begin) * 1e-3 for begin, end in instants])
 
 
-def watch(run: subprocess.Popen[str]) -> float:
-    """Return the serving process' share of a processor, after viewers have settled."""
-    server, wait = serving_process(run), threading.Event()
-    wait.wait(SETTLE_MS * 1e-3)
-    before_s = processor_s(server)
-    wait.wait(MEASURED_MS * 1e-3)
-    return (processor_s(server) - before_s) / (MEASURED_MS * 1e-3)
+def without_page(path: Path) -> Measured:
+    """Measure a run without the page."""
+    wait = threading.Event()
+    with running(path):
+        while not path.exists():
+            wait.wait(0.05)
+        wait.wait(SETTLE_S)
+        begin_ns = time.monotonic_ns()
+        wait.wait(MEASURED_S)
+        end_ns = time.monotonic_ns()
+    return Measured(times_between(path, begin_ns, end_ns), 0.0)
 
 
-def with_receivers(path: Path, count: int) -> Watched:
-    """Run with viewers that receive everything and draw nothing."""
+def with_receivers(path: Path) -> Measured:
+    """Measure a run with viewers that draw nothing. Raises RuntimeError if they miss a period."""
+    wait = threading.Event()
     with running(path, "--live") as process:
-        assert process.stdout is not None
-        address = process.stdout.readline().strip().removeprefix("page: ")
-        stream = address.replace("http://", "ws://").replace("/?", "/stream?")
+        stream = address_of(process).replace("http://", "ws://").replace("/?", "/stream?")
+        receivers = subprocess.Popen(
+            ["nice", "-n", "19", sys.executable, __file__, "--receive", stream],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        server = serving_process(process)
+        wait.wait(SETTLE_S)
+        begin_ns, before_s = time.monotonic_ns(), processor_s(server)
+        wait.wait(MEASURED_S)
+        end_ns, used_s = time.monotonic_ns(), processor_s(server) - before_s
+        received = json.loads(receivers.communicate()[0])
+    times_us = times_between(path, begin_ns, end_ns)
+    if len(received) != VIEWERS or min(received) < len(times_us):
+        raise RuntimeError(
+            f"the viewers received {received} periods, the run has {len(times_us)} in this time"
+        )
+    return Measured(times_us, used_s / (end_ns - begin_ns) * 1e9)
 
-        async def receive() -> None:
-            connection = await websocket_connect(stream)
-            while await connection.read_message() is not None:
-                pass
 
-        async def receive_all() -> None:
-            await asyncio.gather(*(receive() for _ in range(count)))
+def receive(stream: str) -> None:
+    """Receive as ``VIEWERS`` viewers until standard input ends, then print the number of periods of each."""
+    counts = [0] * VIEWERS
 
-        thread = threading.Thread(target=lambda: asyncio.run(receive_all()), daemon=True)
-        thread.start()
-        return Watched(watch(process), [])
+    async def view(place: int) -> None:
+        connection = await websocket_connect(stream)
+        row_bytes = 0
+        while (message := await connection.read_message()) is not None:
+            if isinstance(message, bytes):
+                counts[place] += len(message) // row_bytes
+            else:
+                for part in json.loads(message):
+                    if "run" in part:
+                        row_bytes = 8 * (5 + 3 * len(part["run"]["axes"]))
+
+    async def view_all() -> None:
+        viewers = [asyncio.create_task(view(place)) for place in range(VIEWERS)]
+        await asyncio.to_thread(sys.stdin.read)
+        for viewer in viewers:
+            viewer.cancel()
+
+    asyncio.run(view_all())
+    print(json.dumps(counts))
 
 
-def with_browsers(playwright: Playwright, chromium: str, path: Path, count: int) -> Watched:
-    """Run with pages, each in a browser of its own."""
+def with_browsers(
+    playwright: Playwright, chromium: str, path: Path, count: int
+) -> tuple[Measured, list[float]]:
+    """Measure a run with pages, each in a browser of its own. Return also the times from sampled to drawn."""
     with running(path, "--live") as process:
-        assert process.stdout is not None
-        address = process.stdout.readline().strip().removeprefix("page: ")
+        address, server = address_of(process), serving_process(process)
         browsers = [
             playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
             for _ in range(count)
@@ -147,18 +211,71 @@ def with_browsers(playwright: Playwright, chromium: str, path: Path, count: int)
         pages = [browser.new_page(viewport={"width": 1280, "height": 900}) for browser in browsers]
         for page in pages:
             page.goto(address)
-        share = watch(process)
-        delays = [delay for page in pages for delay in page.evaluate("hilLive.delays_ms.slice(-800)")]
+        threading.Event().wait(SETTLE_S)
+        for page in pages:
+            page.evaluate("hilLive.delays_ms.length = 0")
+        begin_ns, before_s = time.monotonic_ns(), processor_s(server)
+        threading.Event().wait(BROWSER_S)
+        end_ns, used_s = time.monotonic_ns(), processor_s(server) - before_s
+        delays = [delay for page in pages for delay in page.evaluate("hilLive.delays_ms")]
         for browser in browsers:
             browser.close()
-    return Watched(share, delays)
+    share = used_s / (end_ns - begin_ns) * 1e9
+    return Measured(times_between(path, begin_ns, end_ns), share), delays
 
 
-def print_delays(what: str, delays_ms: list[float], target: str) -> float:
-    """Print the percentiles of the time from sampled to drawn, and return p95."""
-    p50, p95 = (float(np.percentile(delays_ms, part)) for part in (50, 95))
-    print(f"from sampled to drawn, {what}: p50 {p50:.0f} ms, p95 {p95:.0f} ms{target}")
-    return p95
+def p99(times_us: Times) -> Times:
+    """Return the 99th percentile of each column."""
+    return np.asarray(np.percentile(times_us, 99, axis=0))
+
+
+def interval(ratios: Sequence[float]) -> tuple[float, float]:
+    """Return the order statistics between which the true median lies with a probability of at least 90 %."""
+    n, ordered = len(ratios), sorted(ratios)
+    outside, place = 0.0, 0
+    while place < n // 2 and outside + 2.0 * math.comb(n, place) / 2.0**n <= 0.10:
+        outside += 2.0 * math.comb(n, place) / 2.0**n
+        place += 1
+    return ordered[max(place - 1, 0)], ordered[n - max(place, 1)]
+
+
+def spread(ratios: Sequence[float]) -> str:
+    """Return median, smallest and largest as text."""
+    return f"{statistics.median(ratios):.3f} ({min(ratios):.3f} .. {max(ratios):.3f})"
+
+
+def is_reached(what: str, value: float, limit: float, unit: str, doubt: str = "") -> bool:
+    """Print a figure, its target and the verdict. Return the verdict."""
+    good = value <= limit
+    print(f"{what}; target {limit:g}{unit}: {'reached' if good else 'MISSED'}{doubt}", flush=True)
+    return good
+
+
+def compare(pairs: Sequence[tuple[Measured, Measured]]) -> bool:
+    """Print the comparison of the runs of each round. Return True if each target is reached."""
+    good = True
+    without = np.array([p99(pair[0].times_us) for pair in pairs])
+    watched = np.array([p99(pair[1].times_us) for pair in pairs])
+    halves = np.array(
+        [
+            p99(bare.times_us[len(bare.times_us) // 2 :]) / p99(bare.times_us[: len(bare.times_us) // 2])
+            for bare, _ in pairs
+        ]
+    )
+    for place, name in enumerate(NAMES):
+        ratios = list(watched[:, place] / without[:, place])
+        low, high = interval(ratios)
+        doubt = (
+            f", but the interval {low:.3f} .. {high:.3f} leaves it open" if low <= MAX_RATIO < high else ""
+        )
+        print(
+            f"{name} p99: median {np.median(without[:, place]):.0f} us without, "
+            f"{np.median(watched[:, place]):.0f} us with {VIEWERS} viewers; without, second half to first: "
+            f"{spread(list(halves[:, place]))}"
+        )
+        text = f"  ratio in pairs {spread(ratios)}, {len(ratios)} rounds"
+        good &= is_reached(text, statistics.median(ratios), MAX_RATIO, "", doubt)
+    return good
 
 
 def main(rounds: int) -> int:
@@ -167,48 +284,53 @@ def main(rounds: int) -> int:
     if chromium is None:
         print("not measured: install the Debian package chromium")
         return 1
-    print(f"{os.cpu_count()} processors, load {os.getloadavg()[0]:.1f} before")
-    print(f"one period into the feed: {feed_cost_us():.1f} us")
-    times: dict[str, list[list[float]]] = {}
-    watched: dict[str, list[Watched]] = {}
-    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
-        for number in range(rounds):
-            path = Path(folder) / f"bare{number}.mcap"
-            with running(path):
-                threading.Event().wait((SETTLE_MS + MEASURED_MS) * 1e-3)
-            times.setdefault("without", []).append(timing(path))
-            for what, count in (("receivers", VIEWERS), ("1 browser", 1), ("3 browsers", VIEWERS)):
-                path = Path(folder) / f"{what}{number}.mcap"
-                result = (
-                    with_receivers(path, count)
-                    if what == "receivers"
-                    else with_browsers(playwright, chromium, path, count)
-                )
-                times.setdefault(what, []).append(timing(path))
-                watched.setdefault(what, []).append(result)
+    begin_s, load = time.monotonic(), os.getloadavg()[0]
+    print(f"{os.cpu_count()} processors, load {load:.1f} before")
+    if load > MAX_LOAD:
+        print(f"The machine is not quiet (load above {MAX_LOAD:g}): the figures are doubtful.")
+    print(f"one period into the feed: {feed_cost_us():.1f} us", flush=True)
+    pairs: list[tuple[Measured, Measured]] = []
+    shares: dict[str, list[float]] = {}
     good = True
-    for place, name in enumerate(NAMES):
-        medians = {what: statistics.median(row[place] for row in rows) for what, rows in times.items()}
-        ratio = medians["receivers"] / medians["without"]
-        good &= ratio <= MAX_RATIO
-        print(
-            f"{name} p99: {medians['without']:.0f} us without; {medians['receivers']:.0f} us with {VIEWERS} "
-            f"receivers, ratio {ratio:.2f}, target {MAX_RATIO:g}; {medians['1 browser']:.0f} us with 1 "
-            f"browser, {medians['3 browsers']:.0f} us with 3 on these processors"
-        )
-    for what, results in watched.items():
-        share = statistics.median(result.share for result in results)
-        good &= share <= MAX_PROCESSOR_SHARE
-        print(
-            f"serving process, {what}: {100 * share:.1f} % of a core, target {100 * MAX_PROCESSOR_SHARE:g} %"
-        )
-    one = [delay for result in watched["1 browser"] for delay in result.delays_ms]
-    three = [delay for result in watched["3 browsers"] for delay in result.delays_ms]
-    good &= print_delays("1 browser", one, f", target {MAX_DELAY_MS:g} ms") <= MAX_DELAY_MS
-    print_delays("3 browsers on these processors", three, "")
-    print(f"load {os.getloadavg()[0]:.1f} after")
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(rounds):
+            bare, live = Path(folder) / f"bare{number}.mcap", Path(folder) / f"live{number}.mcap"
+            if number % 2:
+                watched = with_receivers(live)
+                pair = (without_page(bare), watched)
+            else:
+                pair = (without_page(bare), with_receivers(live))
+            pairs.append(pair)
+            shares.setdefault(f"{VIEWERS} viewers that draw nothing", []).append(pair[1].share)
+        good &= compare(pairs)
+        with sync_playwright() as playwright:
+            for count in (1, VIEWERS):
+                what = f"{count} browser{'s' if count > 1 else ''} on these processors"
+                path = Path(folder) / f"browsers{count}.mcap"
+                measured, delays_ms = with_browsers(playwright, chromium, path, count)
+                shares.setdefault(what, []).append(measured.share)
+                p50, p95 = (float(np.percentile(delays_ms, part)) for part in (50, 95))
+                loop = ", ".join(
+                    f"{name} {value:.0f} us"
+                    for name, value in zip(NAMES, p99(measured.times_us), strict=True)
+                )
+                print(f"{what}: loop at p99: {loop}")
+                text = f"from sampled to drawn, {what}: p50 {p50:.0f} ms, p95 {p95:.0f} ms"
+                if count == 1:
+                    good &= is_reached(text, p95, MAX_DELAY_MS, " ms")
+                else:
+                    print(f"{text}; no target: they take the processors from each other")
+    for what, values in shares.items():
+        median, largest = 100 * statistics.median(values), 100 * max(values)
+        text = f"serving process, {what}: {median:.1f} % of a core (largest {largest:.1f} %)"
+        good &= is_reached(text, median, 100 * MAX_PROCESSOR_SHARE, " %")
+    print(f"load {os.getloadavg()[0]:.1f} after; {(time.monotonic() - begin_s) / 60:.1f} minutes")
+    print("every target reached" if good else "a target was MISSED")
     return 0 if good else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else ROUNDS))
+    if sys.argv[1:2] == ["--receive"]:
+        receive(sys.argv[2])
+    else:
+        sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else ROUNDS))

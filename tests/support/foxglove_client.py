@@ -23,9 +23,9 @@ class Client:
         self.server: dict[str, Any] = {}
 
     @classmethod
-    async def connect(cls, port: int) -> Client:
+    async def connect(cls, address: str) -> Client:
         """Connect, and subscribe to every channel. The number of a subscription is that of its channel."""
-        connection = await websocket_connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])
+        connection = await websocket_connect(address, subprotocols=["foxglove.sdk.v1"])
         client = cls(connection)
         while not client.channels:
             message = json.loads(str(await connection.read_message()))

@@ -7,7 +7,8 @@ const show = (value, digits = 4) => (Number.isFinite(value) ? value.toFixed(digi
 
 class Rows {
   // Rows of float64, in arrival order, with their time in column 0.
-  constructor(width, capacity) { this.width = width; this.capacity = capacity; this.clear(); }
+  // `gap_s`: a longer time between two rows is a gap.
+  constructor(width, capacity, gap_s) { Object.assign(this, { width, capacity, gap_s }); this.clear(); }
   clear() { this.data = new Float64Array(this.width * this.capacity * 2); this.begin = this.end = 0; }
   get length() { return this.end - this.begin; }
   add(values) {
@@ -28,6 +29,8 @@ class Rows {
     return low;
   }
   get last() { return this.end ? this.at(this.end - 1, 0) : 0; }
+  // True if periods are missing before a row: the line has a gap there.
+  isAfterGap(row) { return row > this.begin && this.at(row, 0) - this.at(row - 1, 0) > this.gap_s; }
   // Times and values between two rows, for one line of a chart. `value(row)` returns the value of a row. Of more
   // than `points` rows, every pair of points is the lowest and highest value of its part of the time, so that no
   // peak is lost. A point between two of the same value is left out, because the line is the same without it.
@@ -38,42 +41,36 @@ class Rows {
       if (n > 1 && v[n - 1] === x && v[n - 2] === x) t[n - 1] = this.at(row, 0);
       else { t.push(this.at(row, 0)); v.push(x); }
     };
-    if (stride < 3) {
-      for (let row = from; row < to; row += 1) add(row, value(row));
-      return { t, v };
-    }
-    const first = Math.floor(from / stride) * stride;  // parts stay where they are while time goes on
-    for (let row = first; row < to; row += stride) {
+    const addPart = (begin, end) => {
       let low = Infinity, high = -Infinity, lowAt = -1, highAt = -1;
-      for (let k = Math.max(row, from); k < Math.min(row + stride, to); k += 1) {
+      for (let k = begin; k < end; k += 1) {
         const x = value(k);
         if (x < low) { low = x; lowAt = k; }
         if (x > high) { high = x; highAt = k; }
       }
-      if (lowAt < 0) add(Math.max(row, from), NaN);
+      if (lowAt < 0) add(begin, NaN);
       else if (lowAt === highAt) add(lowAt, low);
       else if (lowAt < highAt) { add(lowAt, low); add(highAt, high); }
       else { add(highAt, high); add(lowAt, low); }
+    };
+    const part = stride < 3 ? 1 : stride;
+    for (let begin = from; begin < to;) {
+      let end = Math.min((Math.floor(begin / part) + 1) * part, to);  // parts stay where they are while time goes on
+      if (begin > from && this.isAfterGap(begin)) add(begin - 1, NaN);
+      for (let k = begin + 1; k < end; k += 1) if (this.isAfterGap(k)) end = k;
+      addPart(begin, end);
+      begin = end;
     }
-    if (to > from) add(to - 1, value(to - 1));
+    if (part > 1 && to > from) add(to - 1, value(to - 1));
     return { t, v };
   }
 }
 
 const live = window.hilLive = { rows: null, run: null, charts: [], delays_ms: [], received: 0, drawn: 0, last: null };
 const DRAW_MS = 50, LABEL_MS = 200, MAX_DRAW_MS = 500;  // 20 pictures and 5 values a second
-let socket = null, isPaused = false, isDirty = false, mayOperate = false, isOver = false, isRecording = false;
+const GAP_PERIODS = 10;
+let isPaused = false, isDirty = false, mayOperate = false, isOver = false, isRecording = false;
 let view = [0, 30], cursor_s = null, histograms = null, next_draw_ms = 0, labelled_ms = 0;
-
-function connect() {
-  socket = new WebSocket(`ws://${location.host}/stream${location.search}`);
-  socket.binaryType = "arraybuffer";
-  socket.onmessage = (event) => (typeof event.data === "string" ? JSON.parse(event.data).forEach(take) : takeRows(new Float64Array(event.data)));
-  socket.onclose = () => {
-    setState(isOver ? "run has ended" : "connection lost", "lost");
-    if (!isOver) setTimeout(connect, 1000);
-  };
-}
 
 function take(message) {
   if (message.run) begin(message);
@@ -82,30 +79,40 @@ function take(message) {
   if (message.status) setStatus(message.status);
   if (message.bus) setCounts("bus", message.bus);
   if (message.readings) setReadings(message.readings);
-  if (message.over) { isOver = true; setState("run has ended", "lost"); }
-  if ("position_s" in message) setPosition(message.position_s);
-  if (message.reply) showReply(message.reply);
+  if (message.over) { isOver = connection.isOver = true; connection.isAwaited = message.is_awaited; showConnection(); }
+  if ("position_s" in message) { setPosition(message.position_s); connection.tookData(); }
+  if (message.reply) { connection.answered(message.id); showReply(message.reply); }
 }
 
 function takeRows(values) {
   live.rows.add(values);
   live.received += values.length / live.rows.width;
+  connection.tookData();
   isDirty = true;
 }
 
+// Begin anew: with the connection's first message, and when another run has begun.
 function begin(message) {
-  const { run } = message;
-  const isSame = live.run && JSON.stringify(live.run) === JSON.stringify(run);
+  const { run } = message, before = live.run;
+  const isSame = before && JSON.stringify(before) === JSON.stringify(run);
   mayOperate = message.may_operate;
-  byId("log").replaceChildren();
-  if (isSame) { live.rows.clear(); return; }
-  live.run = run;
-  live.rows = new Rows(FIXED + 3 * run.axes.length, Math.ceil(HISTORY_S / run.period_s));
+  isOver = connection.isOver = false;
   isRecording = message.mode === "recording";
-  buildSeries();
-  buildCharts();
-  if (isRecording) buildPlayer(message);
-  if (mayOperate) buildOperator();
+  byId("log").replaceChildren();
+  if (isSame) {
+    live.rows.clear();
+    if (isRecording) resume();
+  } else {
+    live.run = run;
+    live.rows = new Rows(FIXED + 3 * run.axes.length, Math.ceil(HISTORY_S / run.period_s), GAP_PERIODS * run.period_s);
+    next_row_s = -Infinity;
+    pause(false);
+    if (!before || JSON.stringify(before.axes) !== JSON.stringify(run.axes)) buildSeries();
+    buildCharts();
+    buildOperator();
+    if (isRecording) buildPlayer(message);
+  }
+  showConnection();
 }
 
 // Charts
@@ -178,7 +185,9 @@ function draw(now_ms) {
     limitDrawing(now_ms);
     const rows = live.rows, span = Number(byId("span").value);
     if (!isPaused) {
-      const start = Math.max(rows.last - span, rows.at(rows.begin, 0));
+      // Without new data the time goes on, and the lines end where the data do. Half of a chart still shows them.
+      const waited_s = connection.isStale && !isRecording ? Math.min(connection.age_ms / 1000, span / 2) : 0;
+      const start = Math.max(rows.last + waited_s - span, rows.at(rows.begin, 0));
       view = [start, start + span];
     }
     const from = Math.max(rows.find(view[0]) - 1, rows.begin), to = Math.min(rows.find(view[1]) + 1, rows.end);
@@ -191,7 +200,7 @@ function draw(now_ms) {
       chart.move(...view);
       if (hasLabels) label(chart);
     }
-    setState(live.run.states[rows.at(rows.end - 1, 3)]);
+    showConnection();
     live.drawn = live.received;
     live.last = Array.from(rows.data.subarray((rows.end - 1) * rows.width, rows.end * rows.width));
     noteDelays(rows);
@@ -224,7 +233,8 @@ function limitDrawing(start_ms) {
 function label(chart) {
   const { rows } = live;
   const row = cursor_s === null ? rows.end - 1 : Math.min(Math.max(rows.find(cursor_s), rows.begin), rows.end - 1);
-  chart.label(chart.values.map((value) => show(value(row), chart.digits)));
+  const isOld = cursor_s === null && connection.isStale;
+  chart.label(chart.values.map((value) => (isOld ? "–" : show(value(row), chart.digits))));
   chart.mark(cursor_s === null ? null : rows.at(row, 0));
 }
 function setCursor(t) {
@@ -247,12 +257,26 @@ setInterval(() => {
 // What is said about the run
 
 function setState(text, kind = text) {
-  if (isOver) { text = "run has ended"; kind = "lost"; }
   const box = byId("state");
   if (box.textContent === text) return;
   box.textContent = text;
   box.className = `state ${kind}`;
   document.title = `${text} · hil live`;
+}
+
+// Show the state of the loop, or that nothing is known of it now.
+function showConnection() {
+  const { rows } = live, { isOpen, isStale, trouble } = connection;
+  if (isOver) setState(connection.isAwaited ? "waiting for a daemon" : "run has ended", "lost");
+  else if (!isOpen) setState(live.run ? "connection lost" : "no connection", "lost");
+  else if (isStale) setState("no data", "lost");
+  else if (rows && rows.length) setState(live.run.states[rows.at(rows.end - 1, 3)]);
+  document.body.classList.toggle("stale", isStale || isOver);
+  byId("connection").hidden = !trouble;
+  if (byId("trouble").textContent !== trouble) byId("trouble").textContent = trouble;
+  byId("age").textContent = connection.age;
+  const stop = isOpen ? "Stop" : "Stop: no connection";
+  if (byId("stop").textContent !== stop) byId("stop").textContent = stop;
 }
 
 function setStatus({ counts = {}, fault, readiness, controllers = {}, recording }) {
@@ -316,8 +340,14 @@ function buildPlayer({ begin_s, end_s }) {
   const slider = byId("position");
   slider.min = begin_s;
   slider.max = end_s;
-  slider.addEventListener("input", () => send({ seek_s: Number(slider.value) }));
-  byId("speed").addEventListener("change", (event) => send({ speed: Number(event.target.value) }));
+}
+byId("position").addEventListener("input", (event) => send({ seek_s: Number(event.target.value) }));
+byId("speed").addEventListener("change", (event) => send({ speed: Number(event.target.value) }));
+// Go on where the page was when it lost the connection.
+function resume() {
+  send({ speed: Number(byId("speed").value) });
+  send({ seek_s: Number(byId("position").value) });
+  send({ paused: isPaused });
 }
 function setPosition(position_s) {
   const slider = byId("position");
@@ -327,9 +357,12 @@ function setPosition(position_s) {
 
 // Operator
 
+let jogTimer = null;
 function buildOperator() {
   const bar = byId("operator");
-  bar.hidden = byId("stop").hidden = false;
+  bar.replaceChildren();
+  bar.hidden = byId("stop").hidden = !mayOperate;
+  if (!mayOperate) return;
   const button = (text, request) => { const b = document.createElement("button"); b.textContent = text; b.addEventListener("click", () => send(request())); bar.append(b); return b; };
   const field = (label, attributes) => { const l = document.createElement("label"), i = document.createElement("input"); Object.assign(i, attributes); l.append(label, i); bar.append(l); return i; };
   for (const name of ["arm", "start", "disarm", "reset"]) button(name[0].toUpperCase() + name.slice(1), () => ({ request: name }));
@@ -341,10 +374,10 @@ function buildOperator() {
   button("Set", () => ({ request: "setpoint", axis: axis.value, setpoint: setpoint.value }));
   const volts = field("jog, V", { type: "number", step: 0.1, value: 0.5, style: "width: 6em" });
   const jog = button("Hold to jog", () => ({}));
-  let timer = null;
-  const again = () => send({ request: "jog", axis: axis.value, offset_v: Number(volts.value), duration_s: 0.2 });
-  const release = () => { clearInterval(timer); timer = null; };
-  const press = (event) => { event.preventDefault(); if (!timer) { again(); timer = setInterval(again, 100); } };
+  const again = () => { if (!send({ request: "jog", axis: axis.value, offset_v: Number(volts.value), duration_s: 0.2 })) release(); };
+  const release = () => { clearInterval(jogTimer); jogTimer = null; };
+  const press = (event) => { event.preventDefault(); if (!jogTimer) { jogTimer = setInterval(again, 100); again(); } };
+  release();
   const fresh = jog.cloneNode(true);  // without the listener for a click
   jog.replaceWith(fresh);
   fresh.addEventListener("pointerdown", press);
@@ -355,8 +388,9 @@ function buildOperator() {
     if (file.files.length) send({ request: "controller", axis: axis.value, name: file.files[0].name, document: await file.files[0].text() });
     file.value = "";
   });
-  byId("stop").addEventListener("click", () => send({ request: "stop" }));
 }
+byId("stop").addEventListener("click", () => send({ request: "stop" }));
+const INSTEAD = "Use `hil stop` in a terminal, or the emergency stop.";
 function showReply({ accepted, text }) {
   const box = byId("reply");
   box.hidden = false;
@@ -364,8 +398,10 @@ function showReply({ accepted, text }) {
   box.className = accepted ? "reply" : "reply refused";
 }
 function send(message) {
-  if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
-  else showReply({ accepted: false, text: "not sent: the page has no connection to its server" });
+  if (connection.send(message)) return true;
+  const what = message.request ? `${message.request} was not sent: no connection.` : "Not sent: no connection.";
+  showReply({ accepted: false, text: message.request === "stop" ? `${what} ${INSTEAD}` : what });
+  return false;
 }
 
 // One button: it holds the view, and a recording with it.
@@ -432,5 +468,10 @@ byId("charts").addEventListener("keydown", (event) => {
 document.addEventListener("keydown", (event) => {
   if (event.key === "Escape" && mayOperate) byId("stop").click();
 });
-connect();
+const connection = new Connection({
+  messages: (messages) => messages.forEach(take),
+  rows: takeRows,
+  changed: () => { showConnection(); if (connection.isStale) isDirty = true; },
+  unanswered: (name, why) => showReply({ accepted: false, text: `${name}: ${why}. It may have been done or not.${name === "stop" ? ` ${INSTEAD}` : ""}` }),
+});
 requestAnimationFrame(draw);

@@ -10,6 +10,7 @@ from collections.abc import Coroutine, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 from unittest import mock
+from urllib.parse import urlsplit
 
 import foxglove
 import pytest
@@ -21,14 +22,16 @@ from support.recorded_runs import AXES, EPOCH_OFFSET_NS, RUN_HEADER, in_memory, 
 
 from hil.core.errors import EnvironmentLackError
 from hil.core.output import LogEntry, Severity
+from hil.live import address
 from hil.live import feed as feed_module
-from hil.live import foxglove_server, process
+from hil.live.address import open_stream_address
 from hil.live.feed import LiveFeed
 from hil.live.feed_file import FeedReader, RunInformation
 from hil.live.foxglove_messages import Message, Packer
-from hil.live.foxglove_server import Publisher
+from hil.live.foxglove_server import Publisher, Stream
 from hil.live.process import start_foxglove_server
 from hil.recording.recorder import Recorder
+from hil.recording.schemas import LOG_TOPIC
 
 ENTRY = LogEntry(Severity.WARNING, "adc", "late: 3 periods")
 LOG_NS = 6_000_000_000
@@ -102,10 +105,9 @@ class Served:
         self._server = foxglove.start_server(
             host="127.0.0.1", port=0, context=context, server_listener=self._subscriptions
         )
-        self.port = self._server.port
 
     async def client(self) -> Client:
-        client = await Client.connect(self.port)
+        client = await Client.connect(f"ws://127.0.0.1:{self._server.port}")
         for _ in client.channels:
             await asyncio.to_thread(self._subscriptions.count.acquire)
         return client
@@ -172,43 +174,42 @@ def test_a_client_that_sends_garbage_or_reads_nothing_troubles_no_other(
     assert by_topic(wait_for(receive())) == by_topic(served_messages(path))
 
 
-def test_the_server_publishes_until_the_run_is_over(
-    feed: LiveFeed, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_what_was_before_the_stream_began_is_not_published(
+    feed: LiveFeed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reader = FeedReader(feed.path)
-    monkeypatch.setattr(foxglove_server, "INTERVAL_S", 0.0)
     published: list[Message] = []
     monkeypatch.setattr(Publisher, "publish", lambda _self, messages: published.extend(messages))
-    monkeypatch.setattr(reader, "is_over", mock.Mock(side_effect=[False, True]))
     with mock.patch.object(feed_module, "monotonic_ns", return_value=LOG_NS):
-        feed.log(ENTRY)  # before the server began: not published
-        foxglove_server.serve(reader, "127.0.0.1", 0)
-    assert published == []
-    assert capsys.readouterr().out.startswith("ws://127.0.0.1:")
+        feed.log(ENTRY)
+        stream = Stream(FeedReader(feed.path))
+        assert stream.publish()
+        assert published == []
+        feed.log(ENTRY)
+        assert stream.publish()
+    stream.close()
+    assert [message.topic for message in published] == [LOG_TOPIC]
 
 
-def test_the_process_ends_with_the_run(feed: LiveFeed, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_process_ends_with_the_run(capfd: pytest.CaptureFixture[str]) -> None:
     own = LiveFeed(RUN, {}, lambda: "")
     started, url = start_foxglove_server(own.path, "127.0.0.1", 0)
     assert url.startswith("ws://127.0.0.1:")
     with pytest.raises(EnvironmentLackError, match=r"cannot be served on .* choose another port"):
-        start_foxglove_server(own.path, "127.0.0.1", int(url.rpartition(":")[2]))
+        start_foxglove_server(own.path, "127.0.0.1", urlsplit(url).port or 0)
+    wait_for(Client.connect(url))  # it serves
     own.close()
-    assert started.wait(20) == 0
+    assert started.wait(60) == 0
     assert "without encryption" not in capfd.readouterr().err
 
 
-def test_a_stream_on_the_network_is_warned_of(
-    feed: LiveFeed, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    silent = mock.Mock(stdout=mock.MagicMock(readline=mock.Mock(return_value=b"ws://0.0.0.0:1\n")))
-    monkeypatch.setattr(process.subprocess, "Popen", mock.Mock(return_value=silent))
-    start_foxglove_server(feed.path, "0.0.0.0", 1)
+def test_a_stream_on_the_network_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    with open_stream_address("0.0.0.0", 0):
+        pass
     assert "the stream for Foxglove is served on 0.0.0.0, without encryption" in capsys.readouterr().err
 
 
 def test_without_the_extra_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process.importlib.util, "find_spec", lambda _name: None)
+    monkeypatch.setattr(address.importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(EnvironmentLackError, match=r"pip install 'pneumatic-hil\[foxglove\]'"):
         start_foxglove_server(Path("feed"), "127.0.0.1", 1)
 

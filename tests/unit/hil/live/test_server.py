@@ -7,18 +7,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.live_feeds import make_feed, write_periods
+from support.live_feeds import cycle, gateway, make_feed, write_periods
 from tornado.httpclient import HTTPRequest
 from tornado.testing import AsyncHTTPTestCase, gen_test
 from tornado.web import Application
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from hil.live import server
-from hil.live.feed_file import FeedReader
-from hil.live.run import Run
-from hil.live.server import RunSource, application
+from hil.live.current_run import CurrentRun
+from hil.live.feed import STATUS_PERIODS
+from hil.live.run import MISSED
+from hil.live.run_source import MAX_ROWS, RunSource
+from hil.live.server import application
 
 TOKEN = "correct"
+patient = gen_test(timeout=60.0)
+"""A test of the event loop, which a loaded machine may make slow."""
 
 
 class Recorded:
@@ -35,11 +39,12 @@ class Recorded:
 class LivePage(AsyncHTTPTestCase):
     def get_app(self) -> Application:
         self.feed = make_feed()
-        self.run_ = Run(FeedReader(self.feed.path))
+        self.current = CurrentRun(self.feed.path, is_followed=False)
+        self.run_ = self.current.run
         write_periods(self.feed, 1, 2, 3)
         self.run_.update()
         self.operator: Recorded | None = None
-        app = application([], TOKEN, lambda: RunSource(self.run_, self.operator))
+        app = application([], TOKEN, lambda: RunSource(self.current, self.operator))
         self.hosts: list[str] = app.settings["hosts"]
         return app
 
@@ -81,7 +86,7 @@ class LivePage(AsyncHTTPTestCase):
         assert response.headers["Content-Security-Policy"].startswith("default-src 'self'")
         assert b"http://" not in response.body and b"https://" not in response.body
 
-    @gen_test
+    @patient
     async def test_a_stream_needs_token_and_origin(self) -> None:
         for token, origin in (
             ("wrong", None),
@@ -91,7 +96,7 @@ class LivePage(AsyncHTTPTestCase):
             with pytest.raises(Exception, match="403"):
                 await self.viewer(token, origin)
 
-    @gen_test
+    @patient
     async def test_a_viewer_gets_the_run_and_its_rows(self) -> None:
         connection = await self.viewer()
         (viewer,) = self._app.settings["viewers"]
@@ -103,7 +108,7 @@ class LivePage(AsyncHTTPTestCase):
         assert isinstance(rows, bytes)
         np.testing.assert_array_equal(np.frombuffer(rows).reshape(3, 8), self.run_.history.since(0))
 
-    @gen_test
+    @patient
     async def test_an_update_is_at_most_two_messages(self) -> None:
         connection = await self.viewer()
         (viewer,) = self._app.settings["viewers"]
@@ -138,32 +143,33 @@ class LivePage(AsyncHTTPTestCase):
                 self._app.settings["viewers"].clear()
                 return dict(replies[0]["reply"])
 
-    @gen_test
+    @patient
     async def test_a_page_that_only_shows_refuses_requests(self) -> None:
         answer = await self.answer_to('{"request": "stop"}')
         assert answer == {"accepted": False, "text": "this page only shows; start it with --operate"}
 
-    @gen_test
+    @patient
     async def test_garbage_is_answered_with_the_reason(self) -> None:
-        for message in ("{", "[1]", '"text"', "\x00"):
+        for message in ("{", "[1]", '"text"', "\x00", "[" * 50_000, '{"speed": 1' + 400 * "0" + "}"):
             answer = await self.answer_to(message)
-            assert not answer["accepted"] and answer["text"].startswith("not a request")
+            assert not answer["accepted"]
+            assert answer["text"].startswith(("not a request", "this page only shows"))
 
-    @gen_test
+    @patient
     async def test_an_operator_is_asked(self) -> None:
         self.operator = Recorded()
         answer = await self.answer_to('{"request": "stop"}')
         assert answer == {"accepted": True, "text": "done"}
         assert self.operator.asked == [{"request": "stop"}]
 
-    @gen_test
+    @patient
     async def test_one_page_too_many_is_refused(self) -> None:
         viewers = [await self.viewer() for _ in range(server.MAX_VIEWERS)]
         with pytest.raises(Exception, match="503"):
             await self.viewer()
         assert len(viewers) == server.MAX_VIEWERS
 
-    @gen_test
+    @patient
     async def test_a_viewer_that_reads_nothing_makes_nothing_grow(self) -> None:
         connection = await self.viewer()
         (viewer,) = self._app.settings["viewers"]
@@ -172,4 +178,53 @@ class LivePage(AsyncHTTPTestCase):
         self.run_.update()
         await viewer.update()
         assert viewer.source._next_row == 0
+        connection.close()
+
+    @patient
+    async def test_a_viewer_that_was_too_slow_is_told_how_many_periods_it_missed(self) -> None:
+        connection = await self.viewer()
+        (viewer,) = self._app.settings["viewers"]
+        await viewer.update()
+        assert len(await self.rows_of(connection)) == 3
+        capacity = len(self.run_.history._rows)
+        for begin in range(4, 4 + capacity + 7, capacity // 2):
+            write_periods(self.feed, *range(begin, min(begin + capacity // 2, 4 + capacity + 7)))
+            self.feed.cycle(cycle(STATUS_PERIODS), gateway())
+            self.run_.update()  # as the server does, while this viewer is suspended
+        await viewer.update()
+        messages = json.loads(str(await connection.read_message()))
+        (status,) = [message["status"] for message in messages if "status" in message]
+        assert status["counts"][MISSED] == 7
+        rows = await self.rows_of(connection)
+        assert len(rows) == MAX_ROWS  # the most that waits for a viewer
+        assert rows[0, 0] == pytest.approx(11 * 0.0112)
+        connection.close()
+
+    async def rows_of(self, connection: WebSocketClientConnection) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Return the rows of the next message that has some."""
+        message: object = ""
+        while not isinstance(message, bytes):
+            message = await connection.read_message()
+            assert message is not None
+        return np.frombuffer(message).reshape(-1, 8)
+
+    @patient
+    async def test_a_page_is_told_that_the_server_lives_although_no_data_come(self) -> None:
+        connection = await self.viewer()
+        (viewer,) = self._app.settings["viewers"]
+        await viewer.update()
+        await self.rows_of(connection)
+        viewer._sent_s -= 2.0 * server.HEARTBEAT_S
+        await viewer.update()
+        assert await connection.read_message() == "[]"
+        connection.close()
+
+    @patient
+    async def test_an_answer_has_the_number_of_the_request(self) -> None:
+        connection = await self.viewer()
+        (viewer,) = self._app.settings["viewers"]
+        await connection.write_message('{"request": "stop", "id": 7}')
+        while not viewer._answers:
+            await asyncio.sleep(0)
+        assert viewer._answers[0]["id"] == 7
         connection.close()
