@@ -433,3 +433,36 @@ def test_the_closed_loop_reaches_its_setpoints() -> None:
 def test_the_shell_chooses_the_first_deadline() -> None:
     assert make_gateway(make_rig(), first_deadline_ns=77).next_deadline_ns == 77
     assert make_stepped().core.next_deadline_ns == START_NS
+
+
+def test_a_sample_is_awaited_only_in_state_running_and_until_it_has_come() -> None:
+    gateway = make_stepped(LifeCycleState.ARMED)
+    gateway.deadline()
+    assert not gateway.core.awaits_sample
+    gateway.sample()
+    gateway.operate(Trigger.START)
+    assert not gateway.core.awaits_sample
+    gateway.deadline()
+    assert gateway.core.awaits_sample
+    gateway.sample()
+    assert not gateway.core.awaits_sample
+
+
+def test_readiness_says_what_is_missing_and_why_a_sample_was_rejected() -> None:
+    gateway = make_stepped()
+    gateway.deadline()
+    assert gateway.core.readiness == "adc silent; dac silent"
+    gateway.sample((0.0, 5.0, 5.0))
+    assert gateway.core.readiness.startswith("adc silent; dac silent; last sample rejected: vertical: ")
+
+
+@pytest.mark.parametrize(("late_ns", "late"), [(7_050_003, "7.1"), (7_049_997, "7.0")])
+def test_the_time_of_a_late_period_is_given_in_milliseconds(late_ns: int, late: str) -> None:
+    gateway = make_stepped(LifeCycleState.RUNNING)
+    gateway.period()
+    assert texts(gateway.deadline(late_ns)) == [f"loop: woke up {late} ms late: no SYNC in this period"]
+    assert gateway.core.missed_periods == 1
+    gateway = make_stepped()
+    assert texts(gateway.deadline(2 * PERIOD_NS + late_ns)) == [
+        f"loop: woke up {22.4 + float(late):.1f} ms late, skipped periods: 2"
+    ]

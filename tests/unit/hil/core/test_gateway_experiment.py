@@ -12,7 +12,7 @@ from hil.core.excitation import Steps
 from hil.core.experiment import Experiment
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState, Trigger
-from hil.core.output import Output
+from hil.core.output import Output, Severity
 from hil.core.phase import Phase
 from hil.core.requests import ControllerRequest, JogRequest, Reply, Request, SetpointRequest
 from hil.core.setpoints import parse_setpoint
@@ -56,6 +56,7 @@ def until(gateway: SteppedGateway, phase: Phase) -> Output:
 def test_the_phases_are_reported_and_recorded_with_the_excited_axis_only() -> None:
     gateway = started()
     phases, reports = [], []
+    severities = set()
     for _ in range(200):
         output = gateway.period()
         assert output.cycle is not None
@@ -64,10 +65,12 @@ def test_the_phases_are_reported_and_recorded_with_the_excited_axis_only() -> No
         if not phases or phases[-1] is not excited:
             phases.append(excited)
             reports += texts(output)
+            severities |= {entry.severity for entry in output.log}
     order = [Phase.APPROACH, Phase.SETTLE, Phase.EXCITED, Phase.RETURN, Phase.DONE]
     assert phases == order
     assert [text.split(" ", 1)[0] for text in reports] == ["experiment:"] * len(order)
     assert "settles" in reports[1]
+    assert severities == {Severity.INFO}
 
 
 def test_in_open_loop_the_valve_gets_the_excitation() -> None:

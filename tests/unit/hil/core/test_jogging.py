@@ -90,6 +90,7 @@ def test_the_cycle_of_a_jog_has_its_voltage_before_and_after_the_limits(armed: S
     armed.operate(JOG)
     cycle = armed.period().cycle
     assert cycle is not None
+    assert (cycle.fresh, cycle.receive_ns) == (True, armed.now_ns)
     jogged, *others = cycle.axes
     assert (jogged.output_v, jogged.command_v) == (0.5, 5.5)
     assert (jogged.setpoint, jogged.error) == (jogged.position, 0.0)
@@ -104,3 +105,12 @@ def test_a_jog_has_no_tracking_error() -> None:
         gateway.operate(JOG)
         gateway.period()
         assert gateway.state is LifeCycleState.RUNNING
+
+
+def test_the_sample_that_ends_a_jog_gives_a_fresh_cycle(armed: SteppedGateway) -> None:
+    armed.operate(JOG)
+    armed.period([8.0, 5.0, 5.0])
+    cycle = armed.period([8.65, 5.0, 5.0]).cycle
+    assert armed.state is LifeCycleState.ARMED
+    assert cycle is not None
+    assert (cycle.fresh, cycle.receive_ns, cycle.state) == (True, armed.now_ns, LifeCycleState.ARMED)

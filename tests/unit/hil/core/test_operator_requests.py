@@ -43,3 +43,10 @@ def test_a_setpoint_that_would_be_taken_is_not_refused_beforehand(state: LifeCyc
     refusal = core.refuse_setpoint(SetpointRequest("vertical", "0.2"))
     assert refusal is not None
     assert "beyond 0.15 m" in refusal.text
+
+
+def test_in_state_fault_every_setpoint_is_refused_beforehand() -> None:
+    refusal = make_stepped(LifeCycleState.FAULT).core.refuse_setpoint(SetpointRequest("vertical", "0.1"))
+    assert refusal is not None
+    assert not refusal.accepted
+    assert refusal.text.startswith("vertical: setpoint refused: the state is fault (link: test)")
