@@ -168,3 +168,13 @@ def test_a_held_setpoint_is_the_position_at_the_start() -> None:
     assert cycle is not None
     assert [signals.setpoint for signals in cycle.axes] == positions
     assert [signals.phase for signals in cycle.axes] == [Phase.NONE] * 3
+
+
+def test_before_an_experiment_no_other_axis_is_jogged() -> None:
+    gateway = started()
+    gateway.operate(Trigger.STOP)
+    reply = gateway.operate(JogRequest("horizontal", 0.5, 0.1)).reply
+    assert reply is not None
+    assert not reply.accepted
+    assert "an experiment is planned" in reply.text
+    assert gateway.state is LifeCycleState.ARMED

@@ -114,3 +114,16 @@ def test_the_sample_that_ends_a_jog_gives_a_fresh_cycle(armed: SteppedGateway) -
     assert armed.state is LifeCycleState.ARMED
     assert cycle is not None
     assert (cycle.fresh, cycle.receive_ns, cycle.state) == (True, armed.now_ns, LifeCycleState.ARMED)
+
+
+def test_a_jog_after_control_begins_where_the_axis_was_moved_by_hand(armed: SteppedGateway) -> None:
+    """Neither the envelope nor the travel fence knows the positions from before."""
+    armed.operate(Trigger.START)
+    armed.periods(6)
+    armed.operate(Trigger.STOP)
+    armed.volts = (9.0, 5.0, 5.0)  # beyond the fence
+    armed.period()
+    armed.operate(JOG)
+    for _ in range(10):
+        armed.period()
+        assert armed.state is LifeCycleState.RUNNING
