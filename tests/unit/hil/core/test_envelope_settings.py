@@ -51,7 +51,7 @@ def test_given_limits_replace_the_defaults() -> None:
 @pytest.mark.parametrize("key", ["min_y", "max_y", "max_speed", "max_error", "max_still_s"])
 def test_a_disabled_check_has_no_limit_and_the_others_keep_theirs(key: str) -> None:
     limits = rig_with(f'disabled = ["{key}"]').axes["vertical"].limits
-    assert abs(getattr(limits, key)) == math.inf
+    assert getattr(limits, key) == (-math.inf if key == "min_y" else math.inf)
     assert limits._replace(**{key: 0.0}) == SHIPPED_RIG.axes["vertical"].limits._replace(**{key: 0.0})
 
 
