@@ -146,5 +146,30 @@ def test_a_board_that_was_silent_must_settle_anew() -> None:
 
 def test_a_long_silence_is_given_in_milliseconds() -> None:
     board = watch()
+    board.heartbeat(NmtState.OPERATIONAL, 10**15)
+    assert (board.check_timeout(2 * 10**15) or "").startswith("no heartbeat for 1000000000 ms, limit 302 ms")
+
+
+def test_only_a_restart_ends_an_error_without_a_report() -> None:
+    board = watch()
+    board.error = "EMCY 0x1000"
+    for state in (NmtState.STOPPED, NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL):
+        board.heartbeat(state, 0)
+        assert board.error == "EMCY 0x1000"
+    assert board.describe() == "operational, in error: EMCY 0x1000"
+    assert not board.is_fit
+    board.heartbeat(NmtState.BOOT_UP, 0)
+    assert board.error is None
+
+
+def test_the_state_says_how_many_starts_were_sent() -> None:
+    board = watch()
+    assert board.name == "adc"
+    for sent in range(IMMEDIATE_STARTS + 2):
+        board.heartbeat(NmtState.PRE_OPERATIONAL, 0)
+        said = f"pre-operational after {sent} NMT starts"
+        assert board.describe() == (said if sent >= IMMEDIATE_STARTS else "pre-operational")
+        board.starts.should_start(0)
+        board.starts.start_sent(0)
     board.heartbeat(NmtState.OPERATIONAL, 0)
-    assert (board.check_timeout(10**15) or "").startswith("no heartbeat for 1000000000 ms, limit 302 ms")
+    assert board.describe() == f"operational, but not settled after {IMMEDIATE_STARTS + 2} NMT starts"
