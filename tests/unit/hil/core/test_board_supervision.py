@@ -266,3 +266,25 @@ class TestThrottling:
         gateway.core.link_failed("x")
         gateway.operate(Trigger.RESET)
         assert len(gateway.receive(warning).log) == 1
+
+
+class TestFindings:
+    """What a board has said about its errors, once the gateway has asked it."""
+
+    def test_a_finding_is_shown_only_while_the_board_is_not_operational(self) -> None:
+        gateway = make_stepped()
+        gateway.core._boards._queries["dac"].finding = "error register 0x01"
+        gateway.receive(ADC_UP, Frame(codec.HEARTBEAT_DAC, b"\x7f"))
+        assert gateway.core.readiness == "adc operational; dac pre-operational: error register 0x01"
+        gateway.receive(DAC_UP)
+        assert gateway.core.readiness == "adc operational; dac operational"
+
+    def test_a_question_that_is_not_answered_in_time_is_reported_once(self) -> None:
+        gateway = make_stepped()
+        gateway.deadline()
+        gateway.core._boards._queries["dac"].begin(gateway.now_ns)
+        reports = [
+            text for _ in range(60) for text in texts(gateway.deadline()) if "not operational after" in text
+        ]
+        assert len(reports) == 1
+        assert "no answer to SDO (1001h:0) within 500 ms" in reports[0]
