@@ -124,3 +124,8 @@ def test_the_bounds_of_a_limit_are_exact(key: str, accepted: float, refused: flo
 )
 def test_a_limit_outside_any_range_is_refused(table: str, said: str) -> None:
     assert problem(table).startswith(WHERE + said)
+
+
+def test_settings_cannot_be_changed() -> None:
+    with pytest.raises(AttributeError):
+        EnvelopeSettings().max_error = 1.0  # type: ignore[misc]

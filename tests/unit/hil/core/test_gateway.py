@@ -32,6 +32,7 @@ from support.wire import frame_crc
 from hil.core.controller_file import PidLaw
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState, Trigger
+from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
 
 START_ADC, START_DAC = Frame(0x000, b"\x01\x10"), Frame(0x000, b"\x01\x20")
@@ -466,3 +467,26 @@ def test_the_time_of_a_late_period_is_given_in_milliseconds(late_ns: int, late: 
     assert texts(gateway.deadline(2 * PERIOD_NS + late_ns))[0] == (
         f"loop: woke up {22.4 + float(late):.1f} ms late, skipped periods: 2"
     )
+
+
+def test_after_a_reset_samples_may_begin_with_any_counter_and_are_judged_anew() -> None:
+    gateway = make_stepped(LifeCycleState.RUNNING)
+    gateway.period()
+    last = gateway.counter - 1
+    gateway.core.link_failed("test")
+    gateway.operate(Trigger.RESET)
+    gateway.counter = last  # the counter of the last sample again
+    gateway.periods(ANSWER_TIMEOUT_PERIODS)
+    assert gateway.state is LifeCycleState.READY
+    assert gateway.core.rejected_frames == 0
+
+
+def test_after_a_reset_a_rejected_sample_is_reported_again() -> None:
+    gateway = make_stepped(LifeCycleState.RUNNING)
+    gateway.core.link_failed("test")
+    for is_reported in (True, False):
+        gateway.deadline()
+        assert ("guard: rejected" in " ".join(texts(gateway.sample((0.0, 5.0, 5.0))))) is is_reported
+    gateway.operate(Trigger.RESET)
+    gateway.deadline()
+    assert "guard: rejected" in " ".join(texts(gateway.sample((0.0, 5.0, 5.0))))

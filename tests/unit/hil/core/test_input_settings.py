@@ -120,3 +120,9 @@ def test_limits_of_the_read_back_are_checked(line: str, said: str) -> None:
     with pytest.raises(DocumentError) as caught:
         read_rig(rig_text({"dac.protected": f"true\n{line}"}), "my.toml")
     assert str(caught.value) == f"my.toml: {said}"
+
+
+def test_the_settings_of_an_input_cannot_be_changed() -> None:
+    settings = protected_rig(EMERGENCY_STOP).inputs["emergency_stop"]
+    with pytest.raises(AttributeError):
+        settings.timeout_s = 1.0  # type: ignore[misc]
