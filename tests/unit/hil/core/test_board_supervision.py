@@ -288,3 +288,14 @@ class TestFindings:
         ]
         assert len(reports) == 1
         assert "no answer to SDO (1001h:0) within 500 ms" in reports[0]
+
+    def test_an_answer_is_followed_by_the_next_question_and_is_no_foreign_frame(self) -> None:
+        gateway = make_stepped()
+        gateway.core._boards._queries["dac"].begin(gateway.now_ns)
+        output = gateway.receive(Frame(0x5A0, bytes.fromhex("4F01100011000000")))
+        assert output == Output((Frame(0x620, bytes.fromhex("4003100100000000")),))
+        report = gateway.receive(Frame(0x5A0, bytes.fromhex("4303100110820000")))
+        assert texts(report) == [
+            "dac: not operational after 0 NMT starts: error register 0x11 (generic error, communication "
+            "error, 1001h); last error 0x8210 (PDO not processed: too short) (1003h)"
+        ]

@@ -33,8 +33,10 @@ def test_a_jog_ends_at_the_deadline_that_is_its_end(armed: SteppedGateway) -> No
     for _ in range(2):
         armed.period()
         assert armed.state is LifeCycleState.RUNNING
+        assert armed.core.is_jogging is True
     armed.deadline()
     assert armed.state is LifeCycleState.ARMED
+    assert armed.core.is_jogging is False
 
 
 def test_a_further_request_counts_its_time_from_when_it_came(armed: SteppedGateway) -> None:
