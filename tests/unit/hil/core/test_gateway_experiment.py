@@ -118,9 +118,10 @@ def test_the_law_takes_what_the_limits_let_through() -> None:
     assert applied == [output.cycle.axes[0].command_v - 5.0]
 
 
-def test_after_a_stop_the_experiment_begins_anew() -> None:
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.EXCITED])
+def test_after_a_stop_the_experiment_begins_anew_and_its_first_phase_is_reported_again(phase: Phase) -> None:
     gateway = started()
-    until(gateway, Phase.EXCITED)
+    until(gateway, phase)
     gateway.operate(Trigger.STOP)
     gateway.operate(Trigger.START)
     output = gateway.period()
