@@ -27,7 +27,7 @@ from firmware_sim.boards.faults import DacFaults
 from hil.core.frames import Frame
 from hil.core.gateway import BUS_OFF
 from hil.core.life_cycle import LifeCycleState, Trigger
-from hil.core.nmt_starts import IMMEDIATE_STARTS
+from hil.core.nmt_starts import IMMEDIATE_STARTS, SETTLED_NS
 from hil.core.output import LogEntry, Output, Severity
 from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
@@ -299,3 +299,15 @@ class TestFindings:
             "dac: not operational after 0 NMT starts: error register 0x11 (generic error, communication "
             "error, 1001h); last error 0x8210 (PDO not processed: too short) (1003h)"
         ]
+
+    def test_a_board_that_has_settled_is_asked_anew_the_next_time(self) -> None:
+        gateway = make_stepped()
+        query, starts = gateway.core._boards._queries["dac"], gateway.core._boards.dac.starts
+        query.begin(gateway.now_ns)
+        query.finding, starts.sent = "error register 0x01", IMMEDIATE_STARTS + 1
+        gateway.receive(DAC_UP)
+        assert query.is_begun and query.finding is not None
+        gateway.now_ns += SETTLED_NS
+        gateway.receive(DAC_UP)
+        assert starts.sent == 0
+        assert not query.is_begun and query.finding is None
