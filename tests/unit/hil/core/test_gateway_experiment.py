@@ -71,6 +71,8 @@ def test_the_phases_are_reported_and_recorded_with_the_excited_axis_only() -> No
     assert [text.split(" ", 1)[0] for text in reports] == ["experiment:"] * len(order)
     assert "settles" in reports[1]
     assert severities == {Severity.INFO}
+    said = [text for text in gateway.transcript.texts() if text.startswith("experiment:")]
+    assert said == reports, "each phase is reported once"
 
 
 def test_in_open_loop_the_valve_gets_the_excitation() -> None:
