@@ -46,8 +46,6 @@ class BoardSupervision:
         self._queries = {board.name: ErrorQuery(board.node_id) for board in self._both}
         self._by_answer = {SDO_ANSWER + board.node_id: board for board in self._both}
         """Boards by the identifier of their SDO answers."""
-        self._is_asking = False
-        """True if a question to a board may still be unanswered."""
         self._started: set[str] = set()
         """Names of the boards that were sent an NMT start in this period. One start per period is enough."""
 
@@ -72,7 +70,7 @@ class BoardSupervision:
             reason = board.check_timeout(now_ns)
             if reason is not None:
                 lost = combine(lost, self._state.lose(board.name, reason))
-        return combine(lost, self._check_answers(now_ns)) if self._is_asking else lost
+        return combine(lost, self._check_answers(now_ns))
 
     def _check_answers(self, now_ns: int) -> Output:
         """Report questions to the boards that were not answered in time."""
@@ -81,7 +79,6 @@ class BoardSupervision:
             step = self._queries[board.name].check_timeout(now_ns)
             if step is not None:
                 reports = combine(reports, self._take_step(board, step))
-        self._is_asking = any(query.is_waiting for query in self._queries.values())
         return reports
 
     def receive_heartbeat(self, board: BoardWatch, data: bytes, now_ns: int) -> Output:
@@ -126,7 +123,6 @@ class BoardSupervision:
         query = self._queries[board.name]
         is_unexplained = board.starts.are_ignored and not query.is_begun
         question = Output((query.begin(now_ns),)) if is_unexplained else NOTHING
-        self._is_asking = self._is_asking or is_unexplained
         if not is_due:
             return question
         self._started.add(board.name)

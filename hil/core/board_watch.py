@@ -60,7 +60,7 @@ A code of which only the leading digits are listed is more specific.
 
 def describe_error_code(error_code: int) -> str:
     """Return an error code of CiA 301 as a number with its meaning in words."""
-    masks = (0xFFFF, 0xFFF0, 0xFF00, 0xF000)
+    masks = (0xFFF0, 0xFF00, 0xF000)  # No listed code has a last digit other than 0.
     known = (EMERGENCIES[error_code & mask] for mask in masks if error_code & mask in EMERGENCIES)
     return f"0x{error_code:04X} ({next(known, 'unknown error')})"
 

@@ -78,11 +78,6 @@ class ErrorQuery:
         self.finding: str | None = None
         """What the board answered, in words; None before it has answered everything."""
 
-    @property
-    def is_waiting(self) -> bool:
-        """True if an answer is awaited."""
-        return self._awaited is not None
-
     def reset(self) -> None:
         """Forget the answers, and allow a new question."""
         self._awaited = self.finding = None

@@ -171,9 +171,7 @@ class Gateway:
         """
         skipped = self._clock.skipped_periods(now_ns)
         ended = self._end_period(skipped, now_ns)
-        timeouts = self._boards.begin_period(now_ns)
-        if self._protection.is_used:
-            timeouts = combine(timeouts, self._protection.check(now_ns))
+        timeouts = combine(self._boards.begin_period(now_ns), self._protection.check(now_ns))
         jog_ended = self._jogging.begin_period(now_ns)
         self._clock.begin_period(now_ns, skipped)
         self._has_sample = False
@@ -273,8 +271,6 @@ class Gateway:
 
     def _end_period(self, skipped: int, now_ns: int) -> Output:
         """Report skipped periods and one that ends without a good sample; fault after too many in a row."""
-        if self._has_sample and skipped == 0:
-            return NOTHING
         late = self._report_skipped(skipped, now_ns) if skipped else NOTHING
         ended = NOTHING if self._has_sample else Output(cycle=self._cycle(0, False))
         stale = self._stale_periods.add(skipped + (not self._has_sample), skipped)
@@ -293,9 +289,7 @@ class Gateway:
         if may_wait and self._clock.is_very_late:
             return self._omit_sync_when_late(now_ns)
         if self._guard.begin_period(now_ns, may_wait):
-            if self._protection.reads_back:
-                return combine(self._protection.sync_sent(self._loops.commanded_v), _SYNC)
-            return _SYNC
+            return combine(self._protection.sync_sent(self._loops.commanded_v), _SYNC)
         if state is LifeCycleState.OFFLINE:
             return NOTHING
         text = "no SYNC in this period, to find out whether the last sample was late or a SYNC was lost"
@@ -329,9 +323,7 @@ class Gateway:
         verdict = check(data, now_ns)
         lost = self._count_lost(verdict.lost_before) if verdict.lost_before else NOTHING
         if isinstance(verdict, Accepted):
-            if self._protection.has_inputs:
-                lost = combine(lost, self._protection.check(now_ns))
-            return combine(lost, self._use_sample(verdict, now_ns))
+            return combine(lost, self._protection.check(now_ns), self._use_sample(verdict, now_ns))
         return combine(lost, self._reject_sample(verdict))
 
     def _reject_sample(self, verdict: Rejected) -> Output:
@@ -363,7 +355,7 @@ class Gateway:
         failed = self._loops.control(volts, self._clock.deadline_ns, now_ns)
         if failed is None:
             commands = Output((self._loops.command(),), cycle=self._cycle(now_ns, True))
-            return commands if self.experiment is None else combine(commands, self._report_phase())
+            return combine(commands, self._report_phase())
         return self._fail(failed, now_ns)
 
     def _jog(self, volts: Sequence[float], now_ns: int) -> Output:

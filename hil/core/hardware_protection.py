@@ -32,7 +32,7 @@ RELEASED = "nobody holds the switch, or its wire is broken"
 
 
 class HardwareProtection:
-    """The protection of a rig. Without any, every method returns at once. Times are monotonic nanoseconds.
+    """The protection of a rig. Without any, no method has an effect. Times are monotonic nanoseconds.
 
     ``needs_enable`` returns whether the present motion needs the enable switch. ``stop`` stops it for the
     given reason, with centred valves.
@@ -59,13 +59,9 @@ class HardwareProtection:
             self._enable = WatchedInput("enable", rig.enable, version, RELEASED)
         self._inputs = [contact for contact in (self._emergency_stop, self._enable) if contact is not None]
         self._read_back = ValveReadBack(rig) if rig.dac.read_back else None
-        self.has_inputs = bool(self._inputs)
-        self.reads_back = self._read_back is not None
-        read_back_ids = {codec.TPDO1_DAC} if self.reads_back else set()
+        read_back_ids = {codec.TPDO1_DAC} if self._read_back is not None else set()
         self.identifiers = frozenset({contact.identifier for contact in self._inputs} | read_back_ids)
         """Identifiers of the frames that :meth:`receive` takes."""
-        self.is_used = bool(self.identifiers)
-        """True if the rig file names any protection by hardware."""
         self._stop_was_closed = False
         """True if the emergency stop was closed at the last check."""
         self._valves_followed = False
@@ -97,8 +93,6 @@ class HardwareProtection:
 
     def check(self, now_ns: int) -> Output:
         """React to a contact that has opened and to valves that do not follow, once for each time."""
-        if not self.is_used:
-            return NOTHING
         return combine(self._check_emergency_stop(now_ns), self._check_valves(), self._check_enable(now_ns))
 
     def sync_sent(self, commanded_v: Sequence[float]) -> Output:

@@ -25,16 +25,17 @@ class JogEnd(NamedTuple):
 class Jog:
     """The motion of one axis in a jog. Positions are in the axis' unit, times in monotonic nanoseconds."""
 
+    offset_v: float
+    """Valve voltage in volts, relative to the valve's centre."""
+    end_ns: int
+    """Time from which on the valve is centred."""
+
     def __init__(self, axis: AxisSettings, request: JogRequest, now_ns: int) -> None:
         self._fence = Fence(*axis.fence_limits)
         self._unit = axis.unit
         self._outward = OUTWARD_SHARE * (axis.max_y - axis.min_y)
         self._limits = self._fence
         self.axis = request.axis
-        self.offset_v = 0.0
-        """Valve voltage in volts, relative to the valve's centre."""
-        self.end_ns = now_ns
-        """Time from which on the valve is centred."""
         self.extend(request, now_ns)
 
     def extend(self, request: JogRequest, now_ns: int) -> None:

@@ -21,7 +21,7 @@ RELEASE_NS = 500_000_000
 
 
 class Jogging:
-    """The present jog, if there is one.
+    """The present jog, if there is one. The last one counts only in state running, until control starts.
 
     ``circumstances`` describes the boards, for refusals. ``enable_problem`` returns why the enable switch
     does not count as held at a time, or None.
@@ -42,7 +42,7 @@ class Jogging:
         self._enable_problem = enable_problem
         self._jog: Jog | None = None
         self._refused_until_ns: int | None = None
-        """Time until which jogs are refused, because whoever jogs has not let go yet; None without one."""
+        """Time until which jogs are refused, because whoever jogs has not let go yet; None before a stop."""
 
     @property
     def is_active(self) -> bool:
@@ -90,17 +90,14 @@ class Jogging:
 
         The caller sends the command that centres the valves.
         """
-        self._jog = None
         return self._state.enter(Trigger.STOP, f"jog ended: {cause}")
 
     def _refusal(self, request: JogRequest, now_ns: int) -> str | None:
         """Return why a jog is not possible now, or None."""
         state, axis = self._state.current, request.axis
-        if self._refused_until_ns is not None:
-            if now_ns < self._refused_until_ns:
-                self.await_release(now_ns)
-                return f"the jog was stopped; let go, and jog again after {RELEASE_NS / 1e9:g} s"
-            self._refused_until_ns = None
+        if self._refused_until_ns is not None and now_ns < self._refused_until_ns:
+            self.await_release(now_ns)
+            return f"the jog was stopped; let go, and jog again after {RELEASE_NS / 1e9:g} s"
         if self._jog is not None and self.is_active:
             if self._jog.axis != axis:
                 return f"{self._jog.axis} is being jogged; one axis at a time"

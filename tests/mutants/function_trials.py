@@ -111,7 +111,13 @@ def _replace_code(root: Path, mutant: Mutant) -> None:
     code = compile(mutated_tree(path.read_text(), mutant), str(path), "exec", dont_inherit=True)
     module = sys.modules[mutant.path.removesuffix(".py").replace("/", ".")]
     outer = mutant.function.split(".<locals>")[0]
-    _function(module, outer).__code__ = _code_of(code, outer)
+    changed, function = _code_of(code, outer), _function(module, outer)
+    if changed.co_freevars == function.__code__.co_freevars:
+        function.__code__ = changed
+        return
+    # A method without its super() has no cell for the class, so that the code does not fit the function.
+    *classes, last = outer.split(".")
+    setattr(_holder(module, classes), last, FunctionType(changed, function.__globals__))
 
 
 def _code_of(code: CodeType, name: str) -> CodeType:
@@ -126,13 +132,17 @@ def _code_of(code: CodeType, name: str) -> CodeType:
 
 
 def _function(module: object, name: str) -> FunctionType:
-    holder: Any = module
     *classes, last = name.split(".")
-    for part in classes:
-        holder = getattr(holder, part)
-    found = vars(holder)[last]
+    found: Any = vars(_holder(module, classes))[last]
     if isinstance(found, property):
         found = found.fget
     found = getattr(found, "__func__", found)
     assert isinstance(found, FunctionType), name
     return found
+
+
+def _holder(module: object, classes: Sequence[str]) -> Any:
+    """Return the class with this path of names in a module, or the module itself for an empty path."""
+    for name in classes:
+        module = getattr(module, name)
+    return module

@@ -157,7 +157,8 @@ class _Walk:
                 yield Change("element", child.values[number], function, text, "", _remove_key(child, number))
         inner = function
         if isinstance(child, ast.FunctionDef | ast.ClassDef):
-            inner = f"{function}.{child.name}" if function else child.name
+            is_local = isinstance(parent, ast.FunctionDef)
+            inner = f"{function}{'.<locals>' * is_local}.{child.name}" if function else child.name
         yield from self.changes(child, inner)
 
 

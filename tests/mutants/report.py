@@ -13,7 +13,7 @@ from typing import NamedTuple
 from mutants.trial import Trial, Verdict
 
 EQUIVALENTS = Path(__file__).with_name("equivalents.toml")
-_LIVE = (Verdict.SURVIVED, Verdict.UNREACHED)
+_LIVE = (Verdict.SURVIVED, Verdict.UNREACHED, Verdict.BROKEN)
 
 
 class Equivalents:

@@ -38,26 +38,8 @@ MODULES = tuple(
         "wire/frame_crc",
     )
 )
-EXAMINED = tuple(
-    f"hil/core/{name}.py"
-    for name in (
-        "sample_guard",
-        "surplus_answers",
-        "sync_matching",
-        "envelope",
-        "valve_commands",
-        "period_clock",
-        "life_cycle",
-        "operating_state",
-        "nmt_starts",
-        "rejections",
-        "foreign_frames",
-        "hardware_protection",
-        "watched_input",
-        "valve_read_back",
-    )
-)
-"""Modules of which every mutant has been tried, and every survivor has a reason. Samples are of these."""
+NOT_EXAMINED = frozenset({"hil/core/gateway.py"})
+"""Modules of which not every survivor has been examined yet. Samples are of the others."""
 NOT_RUN = frozenset(
     {
         "test_closed_loop_poles.py",

@@ -84,6 +84,12 @@ def test_a_key_names_path_and_function_and_does_not_depend_on_lines() -> None:
     assert len(keys) == len(set(keys))
 
 
+def test_a_function_within_a_function_has_the_name_that_python_gives_it() -> None:
+    source = "class Guard:\n  def check(self):\n    def limit():\n      return 7\n    return limit\n"
+    names = {mutant.function for mutant in mutants_of(source, "m.py")}
+    assert names == {"Guard.check", "Guard.check.<locals>.limit"}
+
+
 def mutant(key: str) -> Mutant:
     return Mutant(key, "m.py", "f", 1, 0)
 
@@ -109,7 +115,7 @@ def test_each_mutant_gets_the_verdict_of_its_own_process() -> None:
         "survivor": Verdict.SURVIVED,
         "endless": Verdict.TIMED_OUT,
         "crash": Verdict.KILLED,
-        "exception": Verdict.KILLED,
+        "exception": Verdict.BROKEN,
         "noticed": Verdict.KILLED,
     }
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from mutants.operators import Mutant
 
-KILLED_STATUS, SURVIVED_STATUS = 0, 1
+KILLED_STATUS, SURVIVED_STATUS, BROKEN_STATUS = 0, 1, 2
 MAX_MEMORY = 4 << 30
 MAX_WALL_S = 300
 """Time after which a trial that waits for something is ended by a signal."""
@@ -28,6 +28,8 @@ class Verdict(StrEnum):
     SURVIVED = "survived"
     UNREACHED = "unreached"
     """No test runs the changed line. It counts as survived."""
+    BROKEN = "broken"
+    """The trial itself has failed, so that nothing is known. It counts as survived."""
 
 
 class Trial(NamedTuple):
@@ -73,7 +75,7 @@ def _fork(mutant: Mutant, survives: Callable[[Mutant], bool]) -> int:
     pid = os.fork()
     if pid:
         return pid
-    status = KILLED_STATUS
+    status = BROKEN_STATUS
     try:
         nowhere = os.open(os.devnull, os.O_RDWR)
         for descriptor in (1, 2):
@@ -89,4 +91,5 @@ def _fork(mutant: Mutant, survives: Callable[[Mutant], bool]) -> int:
 def _verdict(status: int) -> Verdict:
     if os.WIFSIGNALED(status):
         return Verdict.TIMED_OUT if os.WTERMSIG(status) == signal.SIGXCPU else Verdict.KILLED
-    return Verdict.SURVIVED if os.WEXITSTATUS(status) == SURVIVED_STATUS else Verdict.KILLED
+    verdicts = {KILLED_STATUS: Verdict.KILLED, SURVIVED_STATUS: Verdict.SURVIVED}
+    return verdicts.get(os.WEXITSTATUS(status), Verdict.BROKEN)

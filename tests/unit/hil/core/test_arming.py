@@ -200,3 +200,27 @@ def test_a_request_without_anything_to_add_is_the_plain_trigger() -> None:
     assert arm_request((), ()) is Trigger.ARM
     assert arm_request((NO_FIFO,), ()) == ArmRequest((NO_FIFO,))
     assert arm_request((), ("memory-lock",)) == ArmRequest((), ("memory-lock",))
+
+
+@pytest.mark.parametrize(
+    ("max_v", "far_open_v", "disabled", "is_warned"),
+    [
+        ("8.0", 3.0, "", False),  # the valve opens just far enough
+        ("7.9", 3.0, "", True),
+        ("7.9", 2.9, "", True),
+        ("7.9", 3.0, "max_still_s", False),  # named as disabled already
+    ],
+)
+def test_a_valve_that_cannot_be_far_open_is_named_when_it_arms(
+    max_v: str, far_open_v: float, disabled: str, is_warned: bool
+) -> None:
+    keys = [disabled] if disabled else []
+    envelope = f"{ENVELOPE}\ndisabled = {json.dumps(keys)}"
+    rig = make_rig({"axes.vertical.valve.max_v": max_v}, axes=["vertical"], envelope=envelope)
+    assert rig.axes["vertical"].limits.far_open_v == 3.0
+    gateway = SteppedGateway(rig).bring_to(LifeCycleState.READY)
+    warnings = arm(gateway, Trigger.ARM)
+    assert any("not protected by max_still_s, because the valve opens by" in text for text in warnings) is (
+        is_warned
+    )
+    assert len(warnings) == (1 if is_warned or disabled else 0)

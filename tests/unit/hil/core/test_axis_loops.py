@@ -1,11 +1,11 @@
-"""Control laws whose output is not a finite number."""
+"""The loops of all axes: their time, their failures, and outputs that are not finite numbers."""
 
 from __future__ import annotations
 
 import math
 
 import pytest
-from support.constants import CENTRED
+from support.constants import CENTRED, COUNT_V, PERIOD_NS, PERIOD_S
 from support.gateway_bench import (
     ADC_UP,
     DAC_UP,
@@ -17,10 +17,12 @@ from support.gateway_bench import (
     make_stepped,
 )
 
+from hil.core.axis_loops import AxisLoops
+from hil.core.control_law import ControlLaw
 from hil.core.controller_file import PidLaw, TransferFunctionLaw
-from hil.core.life_cycle import LifeCycleState
+from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.references import GivenSetpoint
-from hil.core.setpoints import Setpoint
+from hil.core.setpoints import Setpoint, parse_setpoint
 
 
 class TestNotFinite:
@@ -90,3 +92,57 @@ def test_no_number_that_is_not_finite_reaches_the_valve_commands(monkeypatch: py
     gateway.sample()
     assert len(asked) == 1
     assert math.isfinite(asked[0])
+
+
+def loops_of(setpoint: Setpoint, envelope: str = "", **changes: str) -> AxisLoops:
+    """The loops of all axes, each with a law of 20 V/m (V/rad) and this setpoint."""
+    rig = make_rig({key.replace("__", "."): text for key, text in changes.items()}, envelope=envelope)
+    laws = {name: ControlLaw(PidLaw(kp=20.0, ki=0.0), PERIOD_S) for name in rig.axes}
+    return AxisLoops(rig, laws, dict.fromkeys(rig.axes, setpoint))
+
+
+def test_the_time_of_a_setpoint_is_exact_after_a_long_run() -> None:
+    asked: list[float] = []
+
+    def at(t: float) -> float:
+        asked.append(t)
+        return 0.0
+
+    loops = loops_of(Setpoint("", at, 0.0, 0.0))
+    loops.control(CENTRED, 7, 7)
+    asked.clear()
+    loops.control(CENTRED, 10**15 + 7, 10**15 + 7)
+    assert set(asked) == {1e6}
+
+
+def test_the_first_axis_that_leaves_its_envelope_is_named() -> None:
+    loops = loops_of(parse_setpoint("hold"))
+    failure = loops.control((5.0, 9.95, 0.05), 0, 0)
+    assert failure is not None
+    assert failure.axis == "horizontal"
+    assert "above the upper soft end stop" in failure.reason
+
+
+def test_after_a_stop_the_rate_limit_allows_the_change_of_a_whole_period() -> None:
+    """The valves are centred then, so that a late sample before the stop does not matter any more."""
+    gateway = make_stepped(LifeCycleState.RUNNING, axes__vertical__valve__max_rate_v_s="10.0")
+    gateway.periods(3)
+    gateway.deadline()
+    gateway.sample(after_ns=PERIOD_NS - 1_000_000)
+    gateway.operate(Trigger.STOP)
+    gateway.operate(Trigger.START)
+    gateway.deadline()
+    (command,) = commands(gateway.sample())
+    assert command[0] == pytest.approx(5.0 + 10.0 * PERIOD_S, abs=COUNT_V)
+
+
+def test_a_controller_that_comes_before_the_first_sample_acts_from_it_on() -> None:
+    gateway = make_stepped(LifeCycleState.ARMED)
+    gateway.periods(2)
+    gateway.operate(Trigger.START)
+    loops = gateway.core._loops
+    assert not loops.have_begun
+    law = ControlLaw(PidLaw(kp=10.0, ki=0.0), PERIOD_S)
+    assert loops.change_law("vertical", law, is_running=True) is None
+    (command,) = commands(gateway.period())
+    assert command[0] == pytest.approx(5.0 + 10.0 * 0.05, abs=COUNT_V)

@@ -27,7 +27,7 @@ from firmware_sim.boards.faults import DacFaults
 from hil.core.frames import Frame
 from hil.core.gateway import BUS_OFF
 from hil.core.life_cycle import LifeCycleState, Trigger
-from hil.core.nmt_starts import IMMEDIATE_STARTS
+from hil.core.nmt_starts import IMMEDIATE_STARTS, SETTLED_NS
 from hil.core.output import LogEntry, Output, Severity
 from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
@@ -266,3 +266,48 @@ class TestThrottling:
         gateway.core.link_failed("x")
         gateway.operate(Trigger.RESET)
         assert len(gateway.receive(warning).log) == 1
+
+
+class TestFindings:
+    """What a board has said about its errors, once the gateway has asked it."""
+
+    def test_a_finding_is_shown_only_while_the_board_is_not_operational(self) -> None:
+        gateway = make_stepped()
+        gateway.core._boards._queries["dac"].finding = "error register 0x01"
+        gateway.receive(ADC_UP, Frame(codec.HEARTBEAT_DAC, b"\x7f"))
+        assert gateway.core.readiness == "adc operational; dac pre-operational: error register 0x01"
+        gateway.receive(DAC_UP)
+        assert gateway.core.readiness == "adc operational; dac operational"
+
+    def test_a_question_that_is_not_answered_in_time_is_reported_once(self) -> None:
+        gateway = make_stepped()
+        gateway.deadline()
+        gateway.core._boards._queries["dac"].begin(gateway.now_ns)
+        reports = [
+            text for _ in range(60) for text in texts(gateway.deadline()) if "not operational after" in text
+        ]
+        assert len(reports) == 1
+        assert "no answer to SDO (1001h:0) within 500 ms" in reports[0]
+
+    def test_an_answer_is_followed_by_the_next_question_and_is_no_foreign_frame(self) -> None:
+        gateway = make_stepped()
+        gateway.core._boards._queries["dac"].begin(gateway.now_ns)
+        output = gateway.receive(Frame(0x5A0, bytes.fromhex("4F01100011000000")))
+        assert output == Output((Frame(0x620, bytes.fromhex("4003100100000000")),))
+        report = gateway.receive(Frame(0x5A0, bytes.fromhex("4303100110820000")))
+        assert texts(report) == [
+            "dac: not operational after 0 NMT starts: error register 0x11 (generic error, communication "
+            "error, 1001h); last error 0x8210 (PDO not processed: too short) (1003h)"
+        ]
+
+    def test_a_board_that_has_settled_is_asked_anew_the_next_time(self) -> None:
+        gateway = make_stepped()
+        query, starts = gateway.core._boards._queries["dac"], gateway.core._boards.dac.starts
+        query.begin(gateway.now_ns)
+        query.finding, starts.sent = "error register 0x01", IMMEDIATE_STARTS + 1
+        gateway.receive(DAC_UP)
+        assert query.is_begun and query.finding is not None
+        gateway.now_ns += SETTLED_NS
+        gateway.receive(DAC_UP)
+        assert starts.sent == 0
+        assert not query.is_begun and query.finding is None

@@ -9,6 +9,7 @@ import pytest
 
 from hil.core.board_watch import EMERGENCIES, BoardWatch, NmtState, describe_emergency
 from hil.core.frames import Frame
+from hil.core.nmt_starts import IMMEDIATE_STARTS, SETTLED_NS
 from hil.core.wire import codec
 
 TIMEOUT_NS = 302_400_000
@@ -104,6 +105,7 @@ def test_a_board_that_is_not_operational_is_watched_too() -> None:
         (0x8253, "RPDO did not come in time"),
         (0x8299, "protocol error"),
         (0x5030, "device hardware"),
+        (0x5131, "device hardware"),
         (0xFF42, "device specific"),
         (0xA000, "unknown error"),
     ],
@@ -124,3 +126,50 @@ def test_the_codes_and_their_texts_are_those_of_the_dbc(identifier: int) -> None
 def test_vendor_bytes_are_described() -> None:
     text = describe_emergency(0x8200, 0x11, bytes((2, 7, 0, 0, 0)))
     assert text == "EMCY 0x8200 (protocol error), error register 0x11, vendor bytes 02 07 00 00 00"
+
+
+def test_a_board_that_was_silent_must_settle_anew() -> None:
+    """The time before the silence does not count: the board may have restarted meanwhile."""
+    board = watch()
+    for _ in range(IMMEDIATE_STARTS + 1):
+        board.heartbeat(NmtState.PRE_OPERATIONAL, 0)
+        board.starts.should_start(0)
+        board.starts.start_sent(0)
+    board.heartbeat(NmtState.OPERATIONAL, 1)
+    assert not board.is_fit
+    assert board.check_timeout(1 + 2 * TIMEOUT_NS) is not None
+    board.heartbeat(NmtState.OPERATIONAL, 1 + SETTLED_NS)
+    assert not board.is_fit
+    board.heartbeat(NmtState.OPERATIONAL, 1 + 2 * SETTLED_NS)
+    assert board.is_fit
+
+
+def test_a_long_silence_is_given_in_milliseconds() -> None:
+    board = watch()
+    board.heartbeat(NmtState.OPERATIONAL, 10**15)
+    assert (board.check_timeout(2 * 10**15) or "").startswith("no heartbeat for 1000000000 ms, limit 302 ms")
+
+
+def test_only_a_restart_ends_an_error_without_a_report() -> None:
+    board = watch()
+    board.error = "EMCY 0x1000"
+    for state in (NmtState.STOPPED, NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL):
+        board.heartbeat(state, 0)
+        assert board.error == "EMCY 0x1000"
+    assert board.describe() == "operational, in error: EMCY 0x1000"
+    assert not board.is_fit
+    board.heartbeat(NmtState.BOOT_UP, 0)
+    assert board.error is None
+
+
+def test_the_state_says_how_many_starts_were_sent() -> None:
+    board = watch()
+    assert board.name == "adc"
+    for sent in range(IMMEDIATE_STARTS + 2):
+        board.heartbeat(NmtState.PRE_OPERATIONAL, 0)
+        said = f"pre-operational after {sent} NMT starts"
+        assert board.describe() == (said if sent >= IMMEDIATE_STARTS else "pre-operational")
+        board.starts.should_start(0)
+        board.starts.start_sent(0)
+    board.heartbeat(NmtState.OPERATIONAL, 0)
+    assert board.describe() == f"operational, but not settled after {IMMEDIATE_STARTS + 2} NMT starts"

@@ -6,13 +6,13 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cantools
 import pytest
 
 from hil.core.board_watch import EMERGENCIES
-from hil.core.wire import codec
+from hil.core.wire import codec, crc8
 from hil.core.wire.compile_dbc import compile_dbc
 from hil.core.wire.crc8 import crc8_j1850
 
@@ -134,3 +134,55 @@ class TestCrc8:
 
     def test_the_crc_of_no_data(self) -> None:
         assert crc8_j1850(b"") == 0x00
+
+
+class TestAgainstCantools:
+    """Every frame, encoded and decoded by cantools from the same DBC, with another value for each signal."""
+
+    MESSAGES: ClassVar[list[Any]] = [message for message in DATABASE.messages if message.signals]
+
+    @staticmethod
+    def values(message: Any) -> list[float]:
+        """A value of each signal, in the order of the frame. All bytes of the frame differ."""
+        signals = sorted(message.signals, key=lambda signal: signal.start)
+        digits = iter(range(0x11, 0x80, 7))
+        raw = [int.from_bytes([next(digits) for _ in range(signal.length // 8)]) for signal in signals]
+        return [value * signal.scale for value, signal in zip(raw, signals, strict=True)]
+
+    def frame(self, message: Any) -> bytes:
+        signals = sorted(message.signals, key=lambda signal: signal.start)
+        named = {signal.name: value for signal, value in zip(signals, self.values(message), strict=True)}
+        return bytes(message.encode(named))
+
+    @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: message.name)
+    def test_a_frame_is_encoded_to_the_same_bytes(self, message: Any) -> None:
+        encode = getattr(codec, f"encode_{message.name.lower()}")
+        assert encode(*self.values(message)) == self.frame(message)
+
+    @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: message.name)
+    def test_a_frame_is_decoded_to_the_same_values(self, message: Any) -> None:
+        decode = getattr(codec, f"decode_{message.name.lower()}")
+        decoded = decode(self.frame(message))
+        assert list(decoded) == self.values(message)
+        names = [signal.name.lower() for signal in sorted(message.signals, key=lambda signal: signal.start)]
+        assert [name.replace("_", "") for name in decoded._fields] == names
+
+
+def remainder(byte: int) -> int:
+    """The remainder of ``byte`` times x^8, divided by x^8 + x^4 + x^3 + x^2 + 1 over GF(2)."""
+    rest = byte << 8
+    for place in range(15, 7, -1):
+        if rest >> place & 1:
+            rest ^= 0x11D << place - 8
+    return rest
+
+
+def test_the_table_of_the_crc_holds_the_remainders_of_all_bytes() -> None:
+    assert list(crc8._table()) == [remainder(byte) for byte in range(256)]
+
+
+def test_a_crc_can_go_on_from_the_bytes_before() -> None:
+    start = crc8.crc8_register(b"1234")
+    assert crc8_j1850(b"56789", start) == 0x4B
+    assert crc8.crc8_register(b"56789", start) == 0x4B ^ 0xFF
+    assert crc8.crc8_register(b"") == 0xFF

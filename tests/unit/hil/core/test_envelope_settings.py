@@ -7,6 +7,7 @@ import math
 import pytest
 from support.shipped_rig import RIG_TEXT, SHIPPED_RIG
 
+from hil.core.envelope_settings import AxisRange, EnvelopeSettings, check_settings
 from hil.core.errors import DocumentError
 from hil.core.rig import Rig, read_rig
 
@@ -50,7 +51,7 @@ def test_given_limits_replace_the_defaults() -> None:
 @pytest.mark.parametrize("key", ["min_y", "max_y", "max_speed", "max_error", "max_still_s"])
 def test_a_disabled_check_has_no_limit_and_the_others_keep_theirs(key: str) -> None:
     limits = rig_with(f'disabled = ["{key}"]').axes["vertical"].limits
-    assert abs(getattr(limits, key)) == math.inf
+    assert getattr(limits, key) == (-math.inf if key == "min_y" else math.inf)
     assert limits._replace(**{key: 0.0}) == SHIPPED_RIG.axes["vertical"].limits._replace(**{key: 0.0})
 
 
@@ -89,3 +90,42 @@ def test_a_valve_may_cross_its_range_within_1_ms_but_no_faster(rate: str, is_acc
         return
     with pytest.raises(DocumentError, match=r"max_rate_v_s is .*, but must be at most 10000\.0"):
         read_rig(text, "rig.toml")
+
+
+SETTINGS_RANGE = AxisRange(min_y=-1.0, max_y=2.0, sensor_min_y=-3.0, sensor_max_y=5.0, valve_v=4.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "accepted", "refused"),
+    [
+        ("min_y", -3.0, math.nextafter(-3.0, -9.0)),
+        ("min_y", -1.0, math.nextafter(-1.0, 9.0)),
+        ("max_y", 2.0, math.nextafter(2.0, -9.0)),
+        ("max_y", 5.0, math.nextafter(5.0, 9.0)),
+        ("max_error", 8.0, math.nextafter(8.0, 9.0)),
+        ("max_speed", 4.0, math.nextafter(4.0, 9.0)),  # 8 m in 4 periods of 0.5 s
+        ("far_open_v", 4.0, math.nextafter(4.0, 9.0)),
+    ],
+)
+def test_the_bounds_of_a_limit_are_exact(key: str, accepted: float, refused: float) -> None:
+    check_settings(EnvelopeSettings(**{key: accepted}), SETTINGS_RANGE, 0.5, "m", "table")
+    with pytest.raises(DocumentError, match=rf"^table\.{key}: "):
+        check_settings(EnvelopeSettings(**{key: refused}), SETTINGS_RANGE, 0.5, "m", "table")
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("max_error_s = 0.0", ".max_error_s is 0.0, but must be more than 0.0"),
+        ("max_still_s = 60.5", ".max_still_s is 60.5, but must be at most 60.0"),
+        ("max_speed = 2e6", ".max_speed is 2000000.0, but must be at most 1000000.0"),
+        ("far_open_v = -0.5", ".far_open_v is -0.5, but must be more than 0.0"),
+    ],
+)
+def test_a_limit_outside_any_range_is_refused(table: str, said: str) -> None:
+    assert problem(table).startswith(WHERE + said)
+
+
+def test_settings_cannot_be_changed() -> None:
+    with pytest.raises(AttributeError):
+        EnvelopeSettings().max_error = 1.0  # type: ignore[misc]

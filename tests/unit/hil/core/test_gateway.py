@@ -32,6 +32,7 @@ from support.wire import frame_crc
 from hil.core.controller_file import PidLaw
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState, Trigger
+from hil.core.sync_matching import ANSWER_TIMEOUT_PERIODS
 from hil.core.wire import codec
 
 START_ADC, START_DAC = Frame(0x000, b"\x01\x10"), Frame(0x000, b"\x01\x20")
@@ -433,3 +434,59 @@ def test_the_closed_loop_reaches_its_setpoints() -> None:
 def test_the_shell_chooses_the_first_deadline() -> None:
     assert make_gateway(make_rig(), first_deadline_ns=77).next_deadline_ns == 77
     assert make_stepped().core.next_deadline_ns == START_NS
+
+
+def test_a_sample_is_awaited_only_in_state_running_and_until_it_has_come() -> None:
+    gateway = make_stepped(LifeCycleState.ARMED)
+    gateway.deadline()
+    assert not gateway.core.awaits_sample
+    gateway.sample()
+    gateway.operate(Trigger.START)
+    assert not gateway.core.awaits_sample
+    gateway.deadline()
+    assert gateway.core.awaits_sample
+    gateway.sample()
+    assert not gateway.core.awaits_sample
+
+
+def test_readiness_says_what_is_missing_and_why_a_sample_was_rejected() -> None:
+    gateway = make_stepped()
+    gateway.deadline()
+    assert gateway.core.readiness == "adc silent; dac silent"
+    gateway.sample((0.0, 5.0, 5.0))
+    assert gateway.core.readiness.startswith("adc silent; dac silent; last sample rejected: vertical: ")
+
+
+@pytest.mark.parametrize(("late_ns", "late"), [(7_050_003, "7.1"), (7_049_997, "7.0")])
+def test_the_time_of_a_late_period_is_given_in_milliseconds(late_ns: int, late: str) -> None:
+    gateway = make_stepped(LifeCycleState.RUNNING)
+    gateway.period()
+    assert texts(gateway.deadline(late_ns)) == [f"loop: woke up {late} ms late: no SYNC in this period"]
+    assert gateway.core.missed_periods == 1
+    gateway = make_stepped()
+    assert texts(gateway.deadline(2 * PERIOD_NS + late_ns))[0] == (
+        f"loop: woke up {22.4 + float(late):.1f} ms late, skipped periods: 2"
+    )
+
+
+def test_after_a_reset_samples_may_begin_with_any_counter_and_are_judged_anew() -> None:
+    gateway = make_stepped(LifeCycleState.RUNNING)
+    gateway.period()
+    last = gateway.counter - 1
+    gateway.core.link_failed("test")
+    gateway.operate(Trigger.RESET)
+    gateway.counter = last  # the counter of the last sample again
+    gateway.periods(ANSWER_TIMEOUT_PERIODS)
+    assert gateway.state is LifeCycleState.READY
+    assert gateway.core.rejected_frames == 0
+
+
+def test_after_a_reset_a_rejected_sample_is_reported_again() -> None:
+    gateway = make_stepped(LifeCycleState.RUNNING)
+    gateway.core.link_failed("test")
+    for is_reported in (True, False):
+        gateway.deadline()
+        assert ("guard: rejected" in " ".join(texts(gateway.sample((0.0, 5.0, 5.0))))) is is_reported
+    gateway.operate(Trigger.RESET)
+    gateway.deadline()
+    assert "guard: rejected" in " ".join(texts(gateway.sample((0.0, 5.0, 5.0))))

@@ -88,6 +88,7 @@ class TestViolation:
         assert commands(output) == [CENTRED]
         assert gateway.state is LifeCycleState.FAULT
         assert output.cycle is not None
+        assert (output.cycle.fresh, output.cycle.state) == (True, LifeCycleState.FAULT)
         assert output.cycle.axes[0].position == pytest.approx(0.1551, abs=2e-5)
         assert output.cycle.axes[0].command_v == 5.0
 

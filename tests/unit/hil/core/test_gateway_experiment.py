@@ -12,7 +12,7 @@ from hil.core.excitation import Steps
 from hil.core.experiment import Experiment
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState, Trigger
-from hil.core.output import Output
+from hil.core.output import Output, Severity
 from hil.core.phase import Phase
 from hil.core.requests import ControllerRequest, JogRequest, Reply, Request, SetpointRequest
 from hil.core.setpoints import parse_setpoint
@@ -56,6 +56,7 @@ def until(gateway: SteppedGateway, phase: Phase) -> Output:
 def test_the_phases_are_reported_and_recorded_with_the_excited_axis_only() -> None:
     gateway = started()
     phases, reports = [], []
+    severities = set()
     for _ in range(200):
         output = gateway.period()
         assert output.cycle is not None
@@ -64,10 +65,14 @@ def test_the_phases_are_reported_and_recorded_with_the_excited_axis_only() -> No
         if not phases or phases[-1] is not excited:
             phases.append(excited)
             reports += texts(output)
+            severities |= {entry.severity for entry in output.log}
     order = [Phase.APPROACH, Phase.SETTLE, Phase.EXCITED, Phase.RETURN, Phase.DONE]
     assert phases == order
     assert [text.split(" ", 1)[0] for text in reports] == ["experiment:"] * len(order)
     assert "settles" in reports[1]
+    assert severities == {Severity.INFO}
+    said = [text for text in gateway.transcript.texts() if text.startswith("experiment:")]
+    assert said == reports, "each phase is reported once"
 
 
 def test_in_open_loop_the_valve_gets_the_excitation() -> None:
@@ -115,9 +120,10 @@ def test_the_law_takes_what_the_limits_let_through() -> None:
     assert applied == [output.cycle.axes[0].command_v - 5.0]
 
 
-def test_after_a_stop_the_experiment_begins_anew() -> None:
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.EXCITED])
+def test_after_a_stop_the_experiment_begins_anew_and_its_first_phase_is_reported_again(phase: Phase) -> None:
     gateway = started()
-    until(gateway, Phase.EXCITED)
+    until(gateway, phase)
     gateway.operate(Trigger.STOP)
     gateway.operate(Trigger.START)
     output = gateway.period()
@@ -165,3 +171,13 @@ def test_a_held_setpoint_is_the_position_at_the_start() -> None:
     assert cycle is not None
     assert [signals.setpoint for signals in cycle.axes] == positions
     assert [signals.phase for signals in cycle.axes] == [Phase.NONE] * 3
+
+
+def test_before_an_experiment_no_other_axis_is_jogged() -> None:
+    gateway = started()
+    gateway.operate(Trigger.STOP)
+    reply = gateway.operate(JogRequest("horizontal", 0.5, 0.1)).reply
+    assert reply is not None
+    assert not reply.accepted
+    assert "an experiment is planned" in reply.text
+    assert gateway.state is LifeCycleState.ARMED

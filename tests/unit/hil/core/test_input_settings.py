@@ -54,7 +54,10 @@ def test_an_input_is_read_with_its_frame_bit_and_timeout() -> None:
         ("bit = 0", "bit = 8", "emergency_stop.bit is 8, but must be at most 7"),
         ("0.05", "1.5", "emergency_stop.timeout_s is 1.5, but must be at most 1.0"),
         ("0.05", "0.0", "emergency_stop.timeout_s is 0.0, but must be at least 0.001"),
+        ("byte = 0", "byte = -1", "emergency_stop.byte is -1, but must be at least 0"),
         ("bit = 0\n", "", "emergency_stop: missing key bit"),
+        ("0x290", "0x610", "emergency_stop.frame: 0x610 is the identifier of SDO to the ADC board; use"),
+        ("0x290", "0x5A0", "emergency_stop.frame: 0x5A0 is the identifier of SDO of the DAC board; use"),
         (
             "0x290",
             "0x190",
@@ -79,6 +82,11 @@ def test_an_input_that_cannot_be_is_refused(old: str, new: str, said: str) -> No
 def test_the_last_byte_of_an_unprotected_frame_can_be_used() -> None:
     table = EMERGENCY_STOP.replace("byte = 0", "byte = 7") + "protected = false\n"
     assert protected_rig(table).inputs["emergency_stop"].byte == 7
+
+
+def test_the_last_byte_before_counter_and_crc_can_be_used() -> None:
+    table = EMERGENCY_STOP.replace("byte = 0", "byte = 5")
+    assert protected_rig(table).inputs["emergency_stop"].byte == 5
 
 
 def test_two_contacts_need_two_bits() -> None:
@@ -112,3 +120,9 @@ def test_limits_of_the_read_back_are_checked(line: str, said: str) -> None:
     with pytest.raises(DocumentError) as caught:
         read_rig(rig_text({"dac.protected": f"true\n{line}"}), "my.toml")
     assert str(caught.value) == f"my.toml: {said}"
+
+
+def test_the_settings_of_an_input_cannot_be_changed() -> None:
+    settings = protected_rig(EMERGENCY_STOP).inputs["emergency_stop"]
+    with pytest.raises(AttributeError):
+        settings.timeout_s = 1.0  # type: ignore[misc]

@@ -4,8 +4,22 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from hil.core.frames import Frame
-from hil.core.output import NOTHING, AxisSignals, Cycle, LogEntry, LogThrottle, Output, Severity, combine
+from hil.core.output import (
+    NOTHING,
+    AxisSignals,
+    Cycle,
+    LogEntry,
+    LogThrottle,
+    Output,
+    Severity,
+    answer,
+    combine,
+)
+from hil.core.phase import Phase
+from hil.core.requests import Reply
 
 ONE, TWO = Frame(1), Frame(2)
 ENTRY, OTHER = LogEntry(Severity.INFO, "a", "x"), LogEntry(Severity.FATAL, "b", "y")
@@ -34,6 +48,12 @@ class TestCombine:
 
     def test_of_two_cycles_the_later_is_kept(self) -> None:
         assert combine(Output(cycle=CYCLE), Output(cycle=LATER)).cycle is LATER
+
+    def test_of_two_replies_the_later_is_kept(self) -> None:
+        first, later = Reply(True, "a"), Reply(False, "b")
+        assert combine(Output(reply=first), Output((ONE,))).reply is first
+        assert combine(Output((ONE,)), Output(reply=later)).reply is later
+        assert combine(Output(reply=first), Output(reply=later)).reply is later
 
 
 def test_severities_are_the_levels_of_ros_logs() -> None:
@@ -75,3 +95,13 @@ class TestLogThrottle:
         assert throttle.report(Severity.WARNING, "a", "x") is not NOTHING
         assert throttle.report(Severity.INFO, "b", "x") is not NOTHING
         assert throttle.report(Severity.INFO, "a", "x", kind="other") is not NOTHING
+
+
+@pytest.mark.parametrize(("accepted", "severity"), [(True, Severity.INFO), (False, Severity.WARNING)])
+def test_the_answer_to_a_request_is_a_log_entry_of_its_axis(accepted: bool, severity: Severity) -> None:
+    reply = Reply(accepted, "text")
+    assert answer("vertical", reply) == Output(log=(LogEntry(severity, "vertical", "text"),), reply=reply)
+
+
+def test_an_axis_that_is_not_excited_has_no_phase() -> None:
+    assert SIGNALS.phase == Phase.NONE == 0
