@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 
 import pytest
 
@@ -13,11 +14,11 @@ from hil.host.vcan.machine import _take_priority
 SHOW = "import os; print(os.sched_getscheduler(0), os.getpriority(0, 0), len(os.sched_getaffinity(0)))"
 
 
-def started_with_priority() -> tuple[int, int, int]:
-    """Return policy, nice value and number of processors of a process that is started as the machine is."""
+def started(prepare: Callable[[], None] | None) -> tuple[int, int, int]:
+    """Return policy, nice value and number of processors of a process that ``prepare`` begins in."""
     done = subprocess.run(
         [sys.executable, "-c", SHOW],
-        preexec_fn=_take_priority,
+        preexec_fn=prepare,
         start_new_session=True,
         capture_output=True,
         text=True,
@@ -27,12 +28,8 @@ def started_with_priority() -> tuple[int, int, int]:
     return policy, nice, processors
 
 
-def unchanged() -> tuple[int, int, int]:
-    return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0), len(os.sched_getaffinity(0))
-
-
 def test_a_machine_before_ordinary_programs_has_one_processor() -> None:
-    assert started_with_priority() in ((os.SCHED_OTHER, -20, 1), unchanged())
+    assert started(_take_priority) in ((os.SCHED_OTHER, -20, 1), started(None))
 
 
 def test_a_machine_without_the_right_to_priority_may_use_every_processor(
@@ -42,4 +39,4 @@ def test_a_machine_without_the_right_to_priority_may_use_every_processor(
         raise PermissionError
 
     monkeypatch.setattr(os, "setpriority", refuse)
-    assert started_with_priority() == unchanged()
+    assert started(_take_priority) == started(None)
