@@ -322,13 +322,11 @@ def verify(
             unit = model.plant.output_unit
             half = 0.5 * (job.step if job.step is not None else DEFAULT_STEP[unit])
             low, high = condition.centre - half, condition.centre + half
-            start = start_position(job, condition, directory)
             if job.bus is not None:
-                path_text = (
-                    f"from {start:.4g} {unit} to {low:g} {unit}, and will then step to {high:g} {unit}"
-                )
+                path_text = f"from where it is to {low:g} {unit}, and will then step to {high:g} {unit}"
                 ask(_question(job, condition, f"will move with the new controller {path_text}"))
             say(f"{condition.name}: stepping {job.axis} with the new controller")
+            start = start_position(job, condition, controller, directory)
             settling_s = requirements.specifications.settling_s or DEFAULT_SETTLING_S
             setpoint = directory / f"{condition.name}-step.csv"
             setpoint.write_text(step_setpoint(start, low, high, settling_s), encoding="utf-8")

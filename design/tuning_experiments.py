@@ -27,6 +27,8 @@ APPROACH_S = 4.0
 """Time in which the axis moves to where the step of a verification begins."""
 APPROACH_POINTS = 40
 """Number of straight lines that the path of the approach is made of."""
+HOLD_S = 0.5
+"""Time for which the axes hold where they are, to measure where that is."""
 REST_S = 4.0
 """Rest before the step of a verification, in s, besides one settling time."""
 PARTIAL = "partial-"
@@ -75,6 +77,21 @@ def step_command(
     ]
 
 
+def hold_command(job: Job, condition: Condition, controller: Path) -> list[str]:
+    """Return the arguments of ``hil`` that hold every axis where it is, to measure where that is."""
+    from hil.shells.run_setup import load_rig
+
+    return [
+        "run",
+        "--controller",
+        f"{job.axis}={controller}",
+        "--duration",
+        repr(HOLD_S),
+        *(part for name in load_rig(job.rig).axes for part in ("--setpoint", f"{name}=hold")),
+        *_where(job, condition),
+    ]
+
+
 def step_setpoint(start: float, low: float, high: float, settling_s: float) -> str:
     """Return the CSV text of a setpoint that goes from ``start`` to ``low``, rests, and steps to ``high``.
 
@@ -88,17 +105,25 @@ def step_setpoint(start: float, low: float, high: float, settling_s: float) -> s
     return "time_s,setpoint\n" + "".join(f"{t:.6f},{r:.9g}\n" for t, r in points)
 
 
-def start_position(job: Job, condition: Condition, directory: Path) -> float:
+def start_position(job: Job, condition: Condition, controller: Path, directory: Path) -> float:
     """Return where the axis is before a step, in its unit.
 
-    The simulated arm begins every run at the same place. A real axis stays where the newest recording ended.
+    The simulated arm in simulated time begins every run at the same place. On a bus the position is measured:
+    the axes hold where they are for a moment. An earlier recording may be days old, and the arm is moved by
+    hand when its load is changed.
     """
     from hil.recording import open_recording
 
-    is_simulated = job.bus is None
-    pattern = f"{condition.name}-[0-9].mcap" if is_simulated else "*.mcap"
-    recordings = sorted(directory.glob(pattern), key=lambda path: path.stat().st_mtime_ns)
-    return _position(open_recording(recordings[-1]), job.axis, 0 if is_simulated else -1)
+    if job.bus is None:
+        recordings = sorted(directory.glob(f"{condition.name}-[0-9].mcap"), key=_age)
+        return _position(open_recording(recordings[-1]), job.axis, 0)
+    path = directory / f"{condition.name}-hold.mcap"
+    run_experiment(path, hold_command(job, condition, controller))
+    return _position(open_recording(path), job.axis, -1)
+
+
+def _age(path: Path) -> int:
+    return path.stat().st_mtime_ns
 
 
 def _position(recording: Recording, axis: str, place: int) -> float:

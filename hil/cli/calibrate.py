@@ -13,6 +13,7 @@ from pathlib import Path
 from hil.cli.calibrate_by_hand import Ends, enter_pressed
 from hil.cli.calibrate_jogged import JOG_V, JoggedEnds, armed, check_daemon, keys_of_terminal
 from hil.cli.calibrate_valve import JoggedAxis
+from hil.cli.confirmation import announce_bit_rate
 from hil.cli.daemon_rig import check_channels, check_settings
 from hil.cli.monitor import BIT_RATE, Monitor, bus_to_hear
 from hil.cli.operate import add_socket_option
@@ -153,7 +154,9 @@ def _check(options: argparse.Namespace, rig: Rig) -> None:
 
 def _potentiometer(options: argparse.Namespace, rig: Rig) -> tuple[str, dict[str, float], str]:
     samples: list[tuple[float, ...]] = []
-    with open_link(bus_to_hear(options, rig), rig.bus.bit_rate) as link:
+    bus = bus_to_hear(options, rig)
+    announce_bit_rate(bus, rig.bus.bit_rate)
+    with open_link(bus, rig.bus.bit_rate) as link:
         clock_ns = time.monotonic_ns
         monitor = Monitor(link, rig, BIT_RATE, sends_sync=True, clock_ns=clock_ns, on_sample=samples.append)
         ends = Ends(monitor, rig, options.axis, samples, enter_pressed, clock_ns)

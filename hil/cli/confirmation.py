@@ -9,7 +9,7 @@ import time
 from hil.core.errors import HilError
 from hil.core.output import LogEntry, Severity
 from hil.core.setpoints import Setpoint
-from hil.links.opening import check_name
+from hil.links.opening import DEFAULT_BIT_RATE, check_name
 from hil.shells.real_bus import check_interface, is_real
 from hil.shells.run_setup import RunSetup
 
@@ -30,6 +30,18 @@ def bus_notes(setup: RunSetup, bus: str) -> list[LogEntry]:
     return notes
 
 
+def announce_bit_rate(bus: str, bit_rate: int | None, source: str = "rig") -> None:
+    """Say at which bit rate a serial adapter will join the bus: a wrong one disturbs all nodes.
+
+    ``source`` is where the key bus.bit_rate stands. Nothing is said of another bus or of the usual rate.
+    """
+    if bit_rate is not None and bit_rate != DEFAULT_BIT_RATE and bus.startswith("slcan:"):
+        sys.stderr.write(
+            f"hil: {bus} joins the bus at {bit_rate / 1000:g} kbit/s ({source}: bus.bit_rate); all nodes "
+            "must have this rate\n"
+        )
+
+
 def confirm_motion(setup: RunSetup, bus: str) -> None:
     """Show which axes will move, from where to where, and ask. Raises HilError without a yes.
 
@@ -42,6 +54,7 @@ def confirm_motion(setup: RunSetup, bus: str) -> None:
             f"{bus} may be a real arm and there is no terminal to ask on; give --yes to move "
             f"{', '.join(setup.rig.axes)}"
         )
+    announce_bit_rate(bus, setup.rig.bus.bit_rate)
     positions = _measure(setup, bus)
     sys.stderr.write("\n".join([f"On {bus}, these axes will move:", *motion_lines(setup, positions)]) + "\n")
     if positions is None:

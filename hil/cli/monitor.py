@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from hil.cli.confirmation import announce_bit_rate
 from hil.core.board_watch import ADC_NODE, NMT_START
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
@@ -54,8 +55,8 @@ def parser() -> CommandParser:
         "--bit-rate",
         type=_bit_rate,
         metavar="BIT/S",
-        help="bit rate of the bus: a serial adapter is set to it, and the load is computed from it (default: "
-        "the rig file's, or 500000)",
+        help="bit rate of the bus, from which its load is computed (default: the rig file's, or 500000); a "
+        "serial adapter always has the rig file's",
     )
     command.add_argument(
         "--sync",
@@ -75,8 +76,15 @@ def main(argv: list[str]) -> int:
     """Watch until interrupted, or once. Raises DocumentError or LinkError."""
     options = parser().parse_args(argv)
     rig = load_rig(options.rig)
+    bus = bus_to_hear(options, rig)
+    if options.bit_rate is not None and bus.startswith("slcan:"):
+        raise DocumentError(
+            f"--bit-rate {options.bit_rate}: {bus} is set to the rate of the rig file; change "
+            "bus.bit_rate there"
+        )
     bit_rate = options.bit_rate or rig.bus.bit_rate or BIT_RATE
-    with open_link(bus_to_hear(options, rig), bit_rate) as link:
+    announce_bit_rate(bus, rig.bus.bit_rate)
+    with open_link(bus, rig.bus.bit_rate) as link:
         monitor = Monitor(link, rig, bit_rate, options.sync, time.monotonic_ns)
         if options.once:
             monitor.listen_until(time.monotonic_ns() + round(ONCE_S * 1e9))

@@ -45,7 +45,7 @@ class OperatorCommand(NamedTuple):
     """Sends the requests, and returns what happened, for the user."""
     epilog: str = ""
     after_loss: Callable[[Path | None], str] = lambda _path: ""
-    """Returns what happened if the daemon at a socket closed the connection; nothing if that is an error."""
+    """Returns what is known if the daemon at a socket closed the connection; nothing if the error says it."""
 
     def parser(self) -> CommandParser:
         """Return the parser of the command's arguments."""
@@ -61,10 +61,9 @@ class OperatorCommand(NamedTuple):
             with connect(options.socket) as client:
                 said = self.ask(client, options)
         except OperationError as error:
-            said = self.after_loss(options.socket) if isinstance(error, ConnectionLostError) else ""
-            if not said:
-                sys.stderr.write(f"hil {self.name}: {error}\n")
-                return 1
+            known = self.after_loss(options.socket) if isinstance(error, ConnectionLostError) else ""
+            sys.stderr.write(f"hil {self.name}: {known or error}\n")
+            return 1
         sys.stdout.write(f"{said}\n")
         return 0
 
@@ -280,7 +279,12 @@ def _record(client: Client, options: argparse.Namespace) -> str:
 
 
 def _ended_already(path: Path | None) -> str:
-    return "the daemon was already shutting down, and has ended" if await_end(path) else ""
+    if not await_end(path):
+        return ""
+    return (
+        "the daemon has ended without an answer: another request or a signal ended it, or it was killed. Its "
+        "log says whether it centred the valves; `hil replay` says whether its recording is complete"
+    )
 
 
 ARM = OperatorCommand(

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from hil.cli.confirmation import announce_bit_rate
 from hil.cli.cut_off import warn_if_cut_off
 from hil.core.errors import HilError, LinkError, RecordingError
 from hil.core.frames import Frame
@@ -40,7 +41,9 @@ def replay_onto_bus(path: Path, options: argparse.Namespace) -> int:
     schedule = schedule_of(recording, side, options.from_s, options.to_s, answer_sync=options.answer_sync)
     rig = _rig_of(recording) if side is Side.GATEWAY else None
     with contextlib.ExitStack() as stack:
-        link = stack.enter_context(open_link(options.bus, _adapter_bit_rate(recording, options.bus)))
+        bit_rate = _adapter_bit_rate(recording, options.bus)
+        announce_bit_rate(options.bus, bit_rate, f"{path}: rig.toml")
+        link = stack.enter_context(open_link(options.bus, bit_rate))
         if rig is not None:
             stack.enter_context(sole_gateway(link, rig.heartbeat_periods * rig.loop.period_s))
         if is_real(options.bus) and not options.yes:

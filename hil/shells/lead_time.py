@@ -8,8 +8,6 @@ from __future__ import annotations
 
 FIRST_REHEARSAL_NS = 500_000
 """Time for the first rehearsals, before any has been measured."""
-MAX_REHEARSAL_NS = 1_000_000
-"""Longest time for which a rehearsal brings the wake-up forward."""
 FORGETTING_PERIODS = 128
 """Number of periods after which a long rehearsal counts as 1/e of its time, if later ones are shorter."""
 
@@ -17,16 +15,21 @@ FORGETTING_PERIODS = 128
 class LeadTime:
     """Lead time of the wake-up in nanoseconds, from the longest rehearsal of the last periods."""
 
-    def __init__(self, before_deadline_ns: int, has_rehearsal: bool) -> None:
-        """``before_deadline_ns`` is the time in which the loop polls. It absorbs a late wake-up."""
+    def __init__(self, before_deadline_ns: int, max_rehearsal_ns: int) -> None:
+        """``before_deadline_ns`` is the time in which the loop polls. It absorbs a late wake-up.
+
+        ``max_rehearsal_ns`` is the longest time for which a rehearsal brings the wake-up forward; 0 without
+        rehearsals.
+        """
         self._before_deadline_ns = before_deadline_ns
-        self.rehearsal_ns = FIRST_REHEARSAL_NS if has_rehearsal else 0
+        self._max_rehearsal_ns = max_rehearsal_ns
+        self.rehearsal_ns = min(FIRST_REHEARSAL_NS, max_rehearsal_ns)
         """Longest time that a rehearsal takes, as far as is known."""
 
     @property
     def ns(self) -> int:
         """Time before a deadline at which the loop must be awake."""
-        return self._before_deadline_ns + min(self.rehearsal_ns, MAX_REHEARSAL_NS)
+        return self._before_deadline_ns + min(self.rehearsal_ns, self._max_rehearsal_ns)
 
     def measured(self, rehearsal_ns: int) -> None:
         """Take the time of a rehearsal."""

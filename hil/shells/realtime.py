@@ -43,6 +43,8 @@ class Polling(NamedTuple):
     """Longest time after SYNC, in state running."""
     rehearse: Callable[[], None] | None = None
     """Called before each deadline, to fill the processor's caches. It must neither wait nor fail."""
+    max_rehearsal_ns: int = 1_000_000
+    """A rehearsal that takes longer is omitted."""
 
 
 NO_POLLING = Polling()
@@ -63,7 +65,7 @@ def run(
     Returns the internal error, for a report, or None. It is a defect of this program or of a library.
     """
     unreadable = _UnreadableFrames(session, link)
-    lead = LeadTime(polling.before_deadline_ns, polling.rehearse is not None)
+    lead = LeadTime(polling.before_deadline_ns, polling.max_rehearsal_ns if polling.rehearse else 0)
     while not session.plan.is_over:
         try:
             if serve_operators is None or not _await_operators_turn(session, link):

@@ -32,6 +32,10 @@ from hil.shells.session import Session
 
 BRING_UP_PERIODS = 10
 """Number of periods in which the second core must reach state running."""
+MAX_REHEARSAL_NS = 1_000_000
+"""Longest time that the loop gives to a rehearsal before a deadline."""
+MAX_REHEARSAL_SHARE = 8
+"""In a short period, it gives at most one such part of the period."""
 ANSWER_NS = 100_000
 """Time from SYNC to the sample in the simulated time of the second core."""
 _HEARTBEATS = (
@@ -113,7 +117,8 @@ class Rehearsal:
 def polling_of(rights: Rights, setup: RunSetup) -> Polling:
     """Return the polling that was granted, with a rehearsal if the loop polls before its deadlines."""
     rehearse = Rehearsal(setup) if rights.poll_ns > 0 else None
-    return Polling(rights.poll_ns, rights.sample_poll_ns, rehearse)
+    longest_ns = min(MAX_REHEARSAL_NS, setup.rig.loop.period_ns // MAX_REHEARSAL_SHARE)
+    return Polling(rights.poll_ns, rights.sample_poll_ns, rehearse, longest_ns)
 
 
 class _NoObserver:

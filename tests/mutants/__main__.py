@@ -20,7 +20,7 @@ from mutants.function_trials import FunctionTrials
 from mutants.module_trials import OPTIONS, run_module_trials
 from mutants.operators import Mutant, mutants_of
 from mutants.report import Equivalents, Report, lines_of, make_report
-from mutants.safety_path import MODULES, NOT_EXAMINED, NOT_RUN
+from mutants.safety_path import MODULES, NOT_RUN
 from mutants.trial import Trial
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,9 +61,7 @@ def _print_unused(arguments: argparse.Namespace, report: Report, equivalents: Eq
 
 
 def _chosen(arguments: argparse.Namespace) -> list[Mutant]:
-    left_out = NOT_EXAMINED if arguments.sample is not None else frozenset()
-    modules = [path for path in MODULES if path not in left_out]
-    paths = [path for path in modules if not arguments.only or Path(path).stem in arguments.only]
+    paths = [path for path in MODULES if not arguments.only or Path(path).stem in arguments.only]
     mutants = [mutant for path in paths for mutant in mutants_of((ROOT / path).read_text(), path)]
     if arguments.sample is None or arguments.sample >= len(mutants):
         return mutants

@@ -177,8 +177,9 @@ def _take_priority() -> None:
         return
     with contextlib.suppress(OSError):  # Where sessions share the processors, the session counts.
         Path("/proc/self/autogroup").write_text(str(_NICE))
-    processors = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, {processors[os.getpid() % len(processors)]})
+    with contextlib.suppress(OSError):
+        processors = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {processors[os.getpid() % len(processors)]})
 
 
 def _memory_bytes() -> int:

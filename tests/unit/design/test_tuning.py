@@ -27,6 +27,7 @@ from hil.views.summary import StepResponse
 
 NOMINAL = Condition(name="nominal")
 JOB = Job("vertical", 0.4, 60.0, "OE(1,3,1)", [NOMINAL])
+REAL = msgspec.structs.replace(JOB, bus="can0")
 
 
 def with_experiment(folder: Path, job: Job = JOB) -> Path:
@@ -91,14 +92,29 @@ class TestSetpointOfAVerification:
         assert "vertical=csv:s.csv" in command
         assert {"horizontal=hold", "rotation=hold", "--lockstep"} <= set(command)
 
-    def test_the_simulated_arm_starts_as_before_and_a_real_axis_where_it_was_left(
-        self, tmp_path: Path
-    ) -> None:
+    def test_the_simulated_arm_starts_as_before(self, tmp_path: Path) -> None:
         signals = following(step(0.1, 1.0), lag(0.1, 1.0, 0.2))
         record_run(tmp_path / "nominal-1.mcap", round(3.0 / PERIOD_S), signals)
-        assert start_position(JOB, NOMINAL, tmp_path) == pytest.approx(0.0, abs=1e-3)
-        real = msgspec.structs.replace(JOB, bus="can0")
-        assert start_position(real, NOMINAL, tmp_path) == pytest.approx(0.1, abs=1e-3)
+        found = start_position(JOB, NOMINAL, Path("c.json"), tmp_path)
+        assert found == pytest.approx(0.0, abs=1e-3)
+
+    def test_on_a_bus_the_position_is_measured_while_every_axis_holds(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The newest recording ended at 0.1 m, and the arm has been moved by hand since then."""
+        record_run(tmp_path / "nominal-1.mcap", 300, following(step(0.1, 1.0), lag(0.1, 1.0, 0.2)))
+        commands: list[list[str]] = []
+
+        def hold(path: Path, command: list[str]) -> None:
+            commands.append(command)
+            record_run(path, 50, following(lambda _t: -0.02, lambda _t: -0.02))
+
+        monkeypatch.setattr(tuning_experiments, "run_experiment", hold)
+        found = start_position(REAL, NOMINAL, Path("c.json"), tmp_path)
+        assert found == pytest.approx(-0.02, abs=1e-3)
+        (command,) = commands
+        assert command[:3] == ["run", "--controller", "vertical=c.json"]
+        assert {"vertical=hold", "horizontal=hold", "rotation=hold", "can0"} <= set(command)
 
 
 def test_the_readings_are_those_of_the_step_and_not_of_the_path_to_it(tmp_path: Path) -> None:
@@ -118,9 +134,6 @@ def test_the_readings_are_those_of_the_step_and_not_of_the_path_to_it(tmp_path: 
     assert found.settling_s == pytest.approx(tau_s * math.log(50.0), abs=2.0 * PERIOD_S)
 
 
-REAL = msgspec.structs.replace(JOB, bus="can0")
-
-
 class TestQuestionsOnABus:
     def test_each_excitation_is_shown_and_confirmed_before_it_begins(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -138,8 +151,8 @@ class TestQuestionsOnABus:
     def test_a_step_is_confirmed_before_it_begins(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(tuning, "start_position", lambda *_given: 0.0123)
-        monkeypatch.setattr(tuning, "run_experiment", lambda *_given: pytest.fail("moved without a yes"))
+        for name in ("start_position", "run_experiment"):
+            monkeypatch.setattr(tuning, name, lambda *_given: pytest.fail("moved without a yes"))
         controller = tmp_path / "controller.json"
         controller.write_text("{}")
         model = cast("Model", SimpleNamespace(condition=NOMINAL, plant=SimpleNamespace(output_unit="m")))
@@ -152,8 +165,8 @@ class TestQuestionsOnABus:
                 REAL, [model], tuning.default_design(), controller, tmp_path, lambda _text: None, refuse
             )
         assert str(asked.value) == (
-            "Condition nominal. vertical on can0 will move with the new controller from 0.0123 m to -0.05 m, "
-            "and will then step to 0.05 m. Is its range free of people?"
+            "Condition nominal. vertical on can0 will move with the new controller from where it is to "
+            "-0.05 m, and will then step to 0.05 m. Is its range free of people?"
         )
 
     @pytest.mark.parametrize("command", ["collect", "run"])

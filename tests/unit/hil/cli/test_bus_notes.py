@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from support.protected_rigs import protected_rig
 
-from hil.cli.confirmation import bus_notes
+from hil.cli.confirmation import announce_bit_rate, bus_notes
 from hil.core.rig import Bus
 from hil.shells.run_setup import load_setup
 
@@ -33,3 +33,23 @@ def test_a_bit_rate_of_the_rig_file_is_named_where_it_sets_an_adapter(bus: str) 
     assert texts == [
         "slcan:/dev/ttyACM0: the serial adapter is set to 250 kbit/s (rig: bus.bit_rate)"
     ] * bus.startswith("slcan")
+
+
+@pytest.mark.parametrize(
+    ("bus", "bit_rate", "is_said"),
+    [
+        ("slcan:/dev/ttyACM0", 250_000, True),
+        ("slcan:/dev/ttyACM0", 500_000, False),
+        ("slcan:/dev/ttyACM0", None, False),
+        ("can0", 250_000, False),
+    ],
+)
+def test_an_unusual_rate_is_said_before_a_serial_adapter_joins(
+    bus: str, bit_rate: int | None, is_said: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    announce_bit_rate(bus, bit_rate, "my.toml")
+    said = (
+        "hil: slcan:/dev/ttyACM0 joins the bus at 250 kbit/s (my.toml: bus.bit_rate); all nodes must have "
+        "this rate\n"
+    )
+    assert capsys.readouterr().err == said * is_said

@@ -99,7 +99,7 @@ class TestCommand:
         """A node that sends its heartbeat when the monitor has opened the bus."""
         real = command.open_link
 
-        def opened(spec: str, bit_rate: int) -> Link:
+        def opened(spec: str, bit_rate: int | None) -> Link:
             link = real(spec, bit_rate)
             other.send(Frame(codec.HEARTBEAT_ADC, b"\x7f"))
             return link
@@ -156,6 +156,10 @@ class TestCommand:
     def test_a_bus_that_only_a_run_can_reach_is_refused(self) -> None:
         with pytest.raises(DocumentError, match=r"^rig\.toml: bus\.channel: 'sim' is a bus"):
             command.main([])
+
+    def test_a_serial_adapter_is_set_by_the_rig_file_alone(self) -> None:
+        with pytest.raises(DocumentError, match=r"--bit-rate 250000: .* is set to the rate of the rig file"):
+            command.main(["--bus", "slcan:/dev/none", "--bit-rate", "250000", "--once"])
 
     @pytest.mark.parametrize("text", ["0", "9999", "1000001", "5e5", "fast", "-1"])
     def test_an_impossible_bit_rate_is_refused(self, text: str, capsys: pytest.CaptureFixture[str]) -> None:

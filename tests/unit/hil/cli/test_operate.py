@@ -286,12 +286,14 @@ def test_a_jog_that_was_paused_does_not_begin_again(
     assert sum(isinstance(asked.call, JogCall) for asked in loop.asked) == 3
 
 
-def test_a_shutdown_of_a_daemon_that_ends_meanwhile_is_done(
+def test_a_shutdown_of_a_daemon_that_ends_meanwhile_does_not_claim_that_the_valves_are_centred(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with ending(tmp_path / "s") as path:
-        assert main(["shutdown", "--socket", str(path)]) == 0
-    assert capsys.readouterr().out == "the daemon was already shutting down, and has ended\n"
+        assert main(["shutdown", "--socket", str(path)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("hil shutdown: the daemon has ended without an answer")
+    assert "Its log says whether it centred the valves" in error
     with ending(tmp_path / "s") as path:
         assert main(["arm", "--socket", str(path)]) == 1
     assert capsys.readouterr().err == f"hil arm: {path}: the daemon closed the connection\n"

@@ -28,7 +28,7 @@ from hil.recording.entries import DeadlineCalled, FrameReceived, FrameRefused, F
 from hil.recording.reader import Recording
 from hil.recording.recorder import Recorder, RunHeader
 from hil.shells import realtime
-from hil.shells.lead_time import FIRST_REHEARSAL_NS, MAX_REHEARSAL_NS
+from hil.shells.lead_time import FIRST_REHEARSAL_NS
 from hil.shells.realtime import NO_POLLING, Polling
 from hil.shells.replay import verify
 from hil.shells.run_plan import CENTRING_PERIODS, Ending, RunPlan, StopRequest
@@ -345,7 +345,7 @@ class TestPolling:
         bench.polling = Polling(self.POLL_NS, rehearse=rehearse)
         return began_ns
 
-    @pytest.mark.parametrize("duration_ns", [50_000, FIRST_REHEARSAL_NS, MAX_REHEARSAL_NS - 20_000])
+    @pytest.mark.parametrize("duration_ns", [50_000, FIRST_REHEARSAL_NS, Polling().max_rehearsal_ns - 20_000])
     def test_a_rehearsal_precedes_each_deadline_and_does_not_delay_it(
         self, polling_bench: Bench, duration_ns: int
     ) -> None:
@@ -377,7 +377,7 @@ class TestPolling:
     def test_a_stalled_rehearsal_delays_one_deadline_and_omits_the_next_rehearsals(
         self, polling_bench: Bench
     ) -> None:
-        stall_ns = 3 * MAX_REHEARSAL_NS // 2
+        stall_ns = 3 * Polling().max_rehearsal_ns // 2
         began_ns = self.rehearse_for(polling_bench, lambda syncs: stall_ns if syncs == 10 else 50_000)
         recording = polling_bench.run()
         late_ns = self.lateness_ns(recording)
