@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import shlex
+import signal
 import sys
 import time
 import traceback
@@ -127,11 +129,18 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             error = run(session, link, stop, port.serve, polling)
             if reports is not None:
                 reports.finish()
+            if stop.signal is not None:
+                text = f"{signal.Signals(stop.signal).name} ended the daemon"
+                session.note(LogEntry(Severity.INFO, "hil", text))
         notifier.send("STOPPING=1")
         metadata = {"rights": rights.as_metadata(), "ending": _ending(session, link)}
         if error is not None:
             metadata["error"] = {"traceback": "".join(traceback.format_exception(error))}
-        failure = None if recorder is None else recorder.close(metadata).failure
+        report = None if recorder is None else recorder.close(metadata)
+        failure = None if report is None else report.failure
+        if report is not None and failure is None:
+            text = f"the last recording is complete; next: hil replay {shlex.quote(str(report.path))}"
+            log.log(LogEntry(Severity.INFO, "recorder", text))
     if failure is not None:
         sys.stderr.write(f"hil daemon: the recording is incomplete: {failure}\n")
     return 0 if plan.ending is Ending.INTERRUPTED and failure is None else 1

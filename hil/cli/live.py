@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from hil.cli.operate import add_socket_option
-from hil.core.errors import DocumentError
+from hil.core.errors import DocumentError, RecordingError
 from hil.host.command_parser import CommandParser, number
 from hil.live.address import add_address_options, open_address
 
@@ -102,7 +102,11 @@ def _check(options: argparse.Namespace) -> None:
             f"--foxglove serves a run; Foxglove itself opens the recording: open {options.recording[0]} there"
         )
     paths = options.recording
-    open_recording(paths[0] if len(paths) == 1 else paths).between(options.from_s, options.to_s)
+    recording = open_recording(paths[0] if len(paths) == 1 else paths)
+    if len(recording.between(options.from_s, options.to_s).timing()) == 0:
+        times_s = recording.timing().time_s
+        span = f"{times_s[0]:.3f} to {times_s[-1]:.3f} s" if len(times_s) else "none"
+        raise RecordingError(f"{paths[0]}: no period between --from and --to; its periods: {span}")
 
 
 def _feed_of_daemon(options: argparse.Namespace) -> Path:

@@ -71,8 +71,8 @@ def _report(result: Recovery, source: Path) -> str:
     lines += [f"repaired   {what}" for what in result.repaired]
     if not result.was_complete:
         lines.append(
-            "note       the recording was not ended; up to 0.8 s that the recorder had not written yet are "
-            "missing at its end"
+            "note       the recording was not ended: its end is missing. After a crash that is at most 0.8 "
+            "s, which the recorder had not written yet; of a file that was cut off it may be more"
         )
     if result.rebuilt_channels:
         lines.append("note       the descriptions of the channels were lost; they are those of the rig file")

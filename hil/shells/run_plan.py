@@ -36,10 +36,13 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.is_set = False
+        self.signal: int | None = None
+        """Number of the signal that has asked, if it was one."""
 
-    def set(self, *_signal: object) -> None:
+    def set(self, signal: int | None = None, _frame: object = None) -> None:
         """Request the end of the run. Usable as a signal handler."""
         self.is_set = True
+        self.signal = signal
 
 
 class Plan(ABC):

@@ -128,6 +128,7 @@ def test_a_signal_centres_the_valves_and_closes_the_recording(running: Daemon) -
     assert recording.axis("vertical")[-1]["state"] == LifeCycleState.ARMED
     assert commands(recording)[-1] == CENTRED
     assert verify(recording).complete
+    assert list(recording.log())[-1][1].text == "SIGTERM ended the daemon"
 
 
 def test_the_commands_say_what_happened(running: Daemon) -> None:

@@ -336,7 +336,7 @@ class TestCommand:
         assert "an unknown number of messages, between " in out
         assert "the file was cut off\n" in out
         assert "or more messages lost\n" in out
-        assert "note       the recording was not ended; up to 0.8 s" in out
+        assert "note       the recording was not ended: its end is missing" in out
         assert "they are those of the rig file\n" in out
 
     def test_nothing_usable(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
