@@ -130,6 +130,8 @@ def main(argv: list[str]) -> int:
         raise DocumentError(
             "--no-record records nothing: omit it, or omit --record, --rotate-after, --rotate-at and --keep"
         )
+    if options.operate and not options.live:
+        raise DocumentError("--operate lets the page operate the daemon, and there is no page: add --live")
     scenario, scenario_text = given_scenario(options)
     options.setpoint = _held(options, set(scenario.setpoints) if scenario else set())
     setup = read_setup(options, scenario, scenario_text)

@@ -97,6 +97,7 @@ def test_a_scenario_gives_setpoints(started: list[tuple[RunSetup, str]]) -> None
         (["--setpoint", "elbow=hold"], "elbow"),
         (["--fault", "stall:0.1@1"], "in simulated time only"),
         (["--no-record", "--keep", "3"], "--no-record records nothing"),
+        (["--operate"], "there is no page: add --live"),
     ],
 )
 def test_wrong_arguments_have_status_2(
