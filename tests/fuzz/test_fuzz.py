@@ -124,7 +124,7 @@ def _late_fault(patch: pytest.MonkeyPatch) -> None:
 
     def patient(self: Any, *arguments: Any) -> None:
         init(self, *arguments)
-        self._stale_limit += 1
+        self._stale_periods._limit += 1
 
     patch.setattr(gateway.Gateway, "__init__", patient)
 
