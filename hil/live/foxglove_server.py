@@ -152,6 +152,6 @@ def main(descriptor: int) -> None:
 
 if __name__ == "__main__":
     main(int(sys.argv[1]))
-    # The library may still wait for the end of a connection. Its thread must not return to an interpreter that
-    # is being finalized.
+    # A thread may still wait for the library to stop. It must not return to an interpreter that is being
+    # finalized.
     os._exit(0)
