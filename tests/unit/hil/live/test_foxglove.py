@@ -215,7 +215,7 @@ def test_a_connection_to_the_library_does_not_keep_the_process_alive() -> None:
         assert len(endpoints) == 1
         stack.enter_context(socket.create_connection(endpoints.pop()))
         own.close()
-        assert started.wait(20) == 0
+        assert started.wait(60) == 0
 
 
 def listening(pid: int) -> set[tuple[str, int]]:
