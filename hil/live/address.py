@@ -3,20 +3,36 @@
 from __future__ import annotations
 
 import argparse
+import array
+import contextlib
+import fcntl
 import importlib.util
 import secrets
 import socket
+import struct
 import sys
 from dataclasses import dataclass
 
 from hil.core.errors import DocumentError, EnvironmentLackError
 
 LOOPBACK = "127.0.0.1"
+EVERY_ADDRESS = "0.0.0.0"
 TOKEN_BYTES = 24
 FOXGLOVE_PORT = 8765
 """Port at which Foxglove looks for a stream by default."""
 MAX_PORT = 65535
 """Largest port number of TCP."""
+WRONG_NAME = (
+    "This server does not answer to that name. Open the address that the command has printed; after --host "
+    f"{EVERY_ADDRESS}, use the name or an IP address of the machine. For another name, start the command "
+    "with --host NAME."
+)
+"""Answer to a request under a name that is not in ``Address.hosts``. It does not say the accepted names,
+because the page of an attacker that uses DNS rebinding could read it."""
+_SIOCGIFCONF = 0x8912  # linux/sockios.h
+_IFREQ_BYTES = 24 + 2 * struct.calcsize("P")
+"""Size of ``struct ifreq``: name (16 bytes), then a union of the address and, largest, ``struct ifmap``."""
+_MAX_ADDRESSES = 256
 
 
 @dataclass(frozen=True)
@@ -48,8 +64,10 @@ def open_address(host: str = LOOPBACK, port: int = 0) -> Address:
     Warns if other machines can open the page.
     """
     check_installed()
-    warn_of_network("the page", host)
-    return _listen(host, port, "http", "the page cannot be served on {}: {}; choose another --port or --host")
+    message = "the page cannot be served on {}: {}; choose another --port or --host"
+    address = _listen(host, port, "http", message)
+    _warn_of_network("the page", host, address.hosts)
+    return address
 
 
 def open_stream_address(host: str, port: int) -> Address:
@@ -61,12 +79,13 @@ def open_stream_address(host: str, port: int) -> Address:
         raise EnvironmentLackError(
             "--foxglove needs foxglove-sdk and tornado: run `pip install 'pneumatic-hil[foxglove]'`"
         )
-    warn_of_network("the stream for Foxglove", host)
     message = (
         "the stream for Foxglove cannot be served on {}: {}; choose another port, such as --foxglove "
         f"{port % MAX_PORT + 1}, or another --host"
     )
-    return _listen(host, port, "ws", message)
+    address = _listen(host, port, "ws", message)
+    _warn_of_network("the stream for Foxglove", host, address.hosts)
+    return address
 
 
 def _listen(host: str, port: int, scheme: str, message: str) -> Address:
@@ -80,21 +99,51 @@ def _listen(host: str, port: int, scheme: str, message: str) -> Address:
         listener.close()
         raise EnvironmentLackError(message.format(f"{host}:{port}", error.strerror)) from None
     listener.setblocking(False)
-    port = listener.getsockname()[1]
-    names = [host] if host not in (LOOPBACK, "0.0.0.0") else [LOOPBACK, "localhost"]
-    if host == "0.0.0.0":
-        names = [socket.gethostname(), *names]
-    return Address(listener, [f"{name}:{port}" for name in names], secrets.token_urlsafe(TOKEN_BYTES), scheme)
+    bound, port = listener.getsockname()
+    hosts = [f"{name}:{port}" for name in _names(host, bound)]
+    return Address(listener, hosts, secrets.token_urlsafe(TOKEN_BYTES), scheme)
 
 
-def warn_of_network(what: str, host: str) -> None:
-    """Warn if ``host`` is an address that other machines can reach."""
+def _names(host: str, bound: str) -> list[str]:
+    """Return the names of a server on ``host``, which is the address ``bound``; the printed one comes first.
+
+    A page of an attacker can give its own name an address of this machine (DNS rebinding). So a name is
+    accepted only if the user gave it or the machine has it. An IP address is not a name that can be rebound.
+    """
+    if bound == EVERY_ADDRESS:
+        names = [socket.gethostname(), *machine_addresses(), LOOPBACK, "localhost"]
+    elif bound == LOOPBACK:
+        names = [host, LOOPBACK, "localhost"]
+    else:
+        names = [host, bound]
+    return list(dict.fromkeys(name.lower() for name in names))  # browsers send names in lower case
+
+
+def machine_addresses() -> list[str]:
+    """Return the IPv4 addresses of this machine's interfaces, without any network traffic (netdevice(7)).
+
+    The list is empty where the system does not give them.
+    """
+    buffer = array.array("B", bytes(_MAX_ADDRESSES * _IFREQ_BYTES))
+    address, length = buffer.buffer_info()
+    request = bytearray(struct.pack("iP", length, address))  # struct ifconf
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        fcntl.ioctl(sock, _SIOCGIFCONF, request)
+        used, _ = struct.unpack("iP", request)
+        starts = range(20, used, _IFREQ_BYTES)  # after the name, and family and port of struct sockaddr_in
+        return [socket.inet_ntoa(buffer[start : start + 4].tobytes()) for start in starts]
+    return []
+
+
+def _warn_of_network(what: str, host: str, hosts: list[str]) -> None:
+    """Warn if ``host`` is an address that other machines can reach. Say by which names they call it."""
     if host in (LOOPBACK, "localhost"):
         return
     risk = "sees what the page shows and does what it may" if what == "the page" else "sees it"
     sys.stderr.write(
         f"hil: {what} is served on {host}, without encryption: whoever can reach this machine on the network "
         f"can read the token, and then {risk}\n"
+        f"hil: {what} answers to {', '.join(hosts)}; for another name, give it with --host\n"
     )
 
 

@@ -10,10 +10,9 @@ from time import monotonic_ns
 from hil.core.errors import HilError
 from hil.core.rig import Rig, read_rig
 from hil.links import open_link
+from hil.links.opening import DEFAULT_BIT_RATE
 from hil.views.bus_watch import BusWatch
 
-BIT_RATE = 500_000
-"""Bit rate of the rig's bus in bit/s, from which the load is computed."""
 INTERVAL_NS = 1_000_000_000
 """Time between two reports."""
 
@@ -36,8 +35,9 @@ def listen(bus: str, rig_text: str, report: Callable[[dict[str, str]], None], en
 
 
 def _listen(bus: str, rig: Rig, report: Callable[[dict[str, str]], None], ended: threading.Event) -> None:
-    with contextlib.suppress(HilError, OSError), open_link(bus) as link:
-        watch = BusWatch(rig, BIT_RATE)
+    bit_rate = rig.bus.bit_rate or DEFAULT_BIT_RATE
+    with contextlib.suppress(HilError, OSError), open_link(bus, bit_rate) as link:
+        watch = BusWatch(rig, bit_rate)
         next_ns = monotonic_ns() + INTERVAL_NS
         while not ended.is_set():
             received = link.receive(0.2)
@@ -49,7 +49,7 @@ def _listen(bus: str, rig: Rig, report: Callable[[dict[str, str]], None], ended:
                 status = watch.status(now_ns)
                 report(
                     {
-                        "bus load": f"{100 * status.bus.load:.1f} % of {BIT_RATE // 1000} kbit/s",
+                        "bus load": f"{100 * status.bus.load:.1f} % of {bit_rate / 1000:g} kbit/s",
                         "frames on the bus": f"{status.bus.frames_per_s:.0f}/s",
                         "SYNC, samples, commands": f"{status.gateway.sync_per_s:.0f}, "
                         f"{status.samples.per_s:.0f}, {status.gateway.commands_per_s:.0f}/s",

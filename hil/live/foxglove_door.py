@@ -6,6 +6,9 @@ browser would have to try 10^11 pairs. A program on this machine can look them u
 door does not protect against that.
 
 A page of Foxglove has another origin than this server, so that the token alone decides.
+
+A client that takes nothing for a time is disconnected. It is not told why: the bytes that it does not read
+come before any message with the reason.
 """
 
 from __future__ import annotations
@@ -17,10 +20,13 @@ from collections.abc import Callable
 
 from tornado import iostream, tcpclient, web
 
-from hil.live.server import MAX_VIEWERS, has_token, refuse_foreigners
+from hil.live.address import WRONG_NAME
+from hil.live.server import MAX_VIEWERS, has_token
 
 CHUNK_BYTES = 65536
 """Most that the door keeps of one direction of one client. The rest waits in the library's server."""
+TIMEOUT_S = 10.0
+"""Time in which a connection must take a chunk, and in which the library's server must accept one."""
 PASSED_HEADERS = (
     "Upgrade",
     "Connection",
@@ -41,14 +47,16 @@ def hidden_address() -> str:
 class Door(web.RequestHandler):
     """A client that asks for the stream."""
 
-    _inner: iostream.IOStream | None = None
-    """Its connection to the library's server."""
+    _is_disconnected = False
+    _streams: tuple[iostream.IOStream, ...] = ()
+    """The connections to the client and to the library's server, while bytes are passed."""
 
     async def get(self) -> None:
         """Connect the client with the library's server, or say why not."""
-        refuse_foreigners(self)
         settings = self.application.settings
-        if not has_token(self):
+        if self.request.headers.get("Host") not in settings["hosts"]:
+            self._refuse(403, WRONG_NAME)
+        elif not has_token(self):
             self._refuse(403, "The token is missing or wrong: open the address that the command has printed.")
         elif self.request.headers.get("Upgrade", "").lower() != "websocket":
             self._refuse(
@@ -60,26 +68,29 @@ class Door(web.RequestHandler):
             await self._connect(settings["endpoint"](), settings["clients"])
 
     def disconnect(self) -> None:
-        """Disconnect the client."""
-        if self._inner is not None:
-            self._inner.close()
+        """Disconnect the client, whatever it or the library's server does not read."""
+        self._is_disconnected = True
+        for stream in self._streams:
+            stream.close()
 
     def _refuse(self, status: int, text: str) -> None:
         self.set_status(status)
         self.write(text)
 
-    async def _connect(self, endpoint: Endpoint, clients: set[Door]) -> None:
+    async def _connect(self, endpoint: Endpoint | None, clients: set[Door]) -> None:
         clients.add(self)
         try:
-            try:
-                self._inner = inner = await tcpclient.TCPClient().connect(*endpoint)
-            except OSError:
+            inner = None if endpoint is None else await _open(endpoint)
+            if inner is not None and self._is_disconnected:  # The run ended in the meantime.
+                inner.close()
+            if endpoint is None or inner is None or inner.closed():
                 self._refuse(503, "No run is served at the moment.")
                 return
             headers = [(name, self.request.headers.get(name)) for name in PASSED_HEADERS]
             lines = [f"{name}: {value}\r\n" for name, value in headers if value is not None]
             head = f"GET / HTTP/1.1\r\nHost: {endpoint[0]}:{endpoint[1]}\r\n{''.join(lines)}\r\n"
             outer = self.detach()
+            self._streams = (outer, inner)
             outer.set_nodelay(True)
             inner.set_nodelay(True)
             with contextlib.suppress(iostream.StreamClosedError):
@@ -89,18 +100,26 @@ class Door(web.RequestHandler):
             clients.discard(self)
 
 
+async def _open(endpoint: Endpoint) -> iostream.IOStream | None:
+    """Connect with the library's server. Return None if it does not accept the connection."""
+    with contextlib.suppress(OSError):  # TimeoutError is one
+        return await asyncio.wait_for(tcpclient.TCPClient().connect(*endpoint), TIMEOUT_S)
+    return None
+
+
 async def _pass(source: iostream.IOStream, sink: iostream.IOStream) -> None:
-    """Pass bytes from ``source`` to ``sink`` until one of them is closed, then close both."""
+    """Pass bytes from ``source`` to ``sink`` until one is closed or ``sink`` takes none, then close both."""
     try:
         while True:
-            await sink.write(await source.read_bytes(CHUNK_BYTES, partial=True))
-    except iostream.StreamClosedError:
+            data = await source.read_bytes(CHUNK_BYTES, partial=True)
+            await asyncio.wait_for(sink.write(data), TIMEOUT_S)
+    except (iostream.StreamClosedError, TimeoutError):
         source.close()
         sink.close()
 
 
 def application(
-    hosts: list[str], token: str, endpoint: Callable[[], Endpoint], clients: set[Door]
+    hosts: list[str], token: str, endpoint: Callable[[], Endpoint | None], clients: set[Door]
 ) -> web.Application:
-    """Return the door. ``endpoint`` returns where the library's server listens now."""
+    """Return the door. ``endpoint`` returns where the library's server listens now, None without a run."""
     return web.Application([(r"/", Door)], hosts=hosts, token=token, endpoint=endpoint, clients=clients)

@@ -13,6 +13,7 @@ import json
 import os
 import socket
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -76,8 +77,12 @@ class Stream:
         return not is_over
 
     def close(self) -> None:
-        """Disconnect the clients."""
-        self._server.stop()
+        """Begin to stop the library's server, and release the feed.
+
+        The library waits for the end of every connection, however long that takes, so that a thread waits
+        for it. The next run has a server of its own.
+        """
+        threading.Thread(target=self._server.stop, daemon=True).start()
         self._feed.close()
 
 
@@ -93,11 +98,10 @@ class Streams:
         self._disconnect = disconnect
         self._loop = loop
         self._stream: Stream | None = Stream(FeedReader(feed))
-        self._endpoint = self._stream.endpoint
 
-    def endpoint(self) -> Endpoint:
-        """Return where the library's server listens, or listened last."""
-        return self._endpoint
+    def endpoint(self) -> Endpoint | None:
+        """Return where the library's server listens, or None between two runs."""
+        return None if self._stream is None else self._stream.endpoint
 
     def update(self) -> None:
         """Publish what is new of the run, or look for the next one."""
@@ -107,9 +111,8 @@ class Streams:
                 self._loop.call_later(SEARCH_INTERVAL_MS * 1e-3, self.update)
                 return
             self._stream = Stream(feed)
-            self._endpoint = self._stream.endpoint
         elif not self._stream.publish():
-            self._disconnect()  # The library's server waits for the end of its connections.
+            self._disconnect()
             self._stream.close()
             self._stream = None
             if not self._is_followed:
@@ -124,7 +127,7 @@ def serve(options: dict[str, Any]) -> None:
     clients: set[Door] = set()
 
     def disconnect() -> None:
-        for client in clients:
+        for client in list(clients):
             client.disconnect()
 
     streams = Streams(
@@ -149,3 +152,6 @@ def main(descriptor: int) -> None:
 
 if __name__ == "__main__":
     main(int(sys.argv[1]))
+    # A thread may still wait for the library to stop. It must not return to an interpreter that is being
+    # finalized.
+    os._exit(0)

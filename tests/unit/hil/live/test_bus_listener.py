@@ -4,6 +4,8 @@ import queue
 import threading
 from pathlib import Path
 
+import pytest
+
 import hil
 from hil.core.frames import Frame
 from hil.core.rig import read_rig
@@ -14,11 +16,18 @@ from hil.live.bus_listener import listen
 RIG_TEXT = (Path(hil.__file__).parent / "shipped" / "rig.toml").read_text()
 
 
-def test_frames_on_the_bus_are_counted() -> None:
+@pytest.mark.parametrize(
+    ("rig_text", "end"),
+    [
+        (RIG_TEXT, "% of 500 kbit/s"),
+        (RIG_TEXT.replace("[bus]\n", "[bus]\nbit_rate = 125000\n"), "% of 125 kbit/s"),
+    ],
+)
+def test_frames_on_the_bus_are_counted(rig_text: str, end: str) -> None:
     reports: queue.Queue[dict[str, str]] = queue.Queue()
     with open_link("inproc:listener") as link:
         ended = threading.Event()
-        listen("inproc:listener", RIG_TEXT, reports.put, ended)
+        listen("inproc:listener", rig_text, reports.put, ended)
         report = {"frames on the bus": "0/s"}
         while report["frames on the bus"] == "0/s":
             link.send(Frame(0x080))
@@ -27,7 +36,7 @@ def test_frames_on_the_bus_are_counted() -> None:
             except queue.Empty:
                 continue
         ended.set()
-    assert report["bus load"].endswith("% of 500 kbit/s")
+    assert report["bus load"].endswith(end)
     assert not report["SYNC, samples, commands"].startswith("0,")
 
 

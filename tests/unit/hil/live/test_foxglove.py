@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import socket
 import subprocess
 import sys
 import threading
@@ -28,7 +30,7 @@ from hil.live.address import open_stream_address
 from hil.live.feed import LiveFeed
 from hil.live.feed_file import FeedReader, RunInformation
 from hil.live.foxglove_messages import Message, Packer
-from hil.live.foxglove_server import Publisher, Stream
+from hil.live.foxglove_server import Publisher, Stream, Streams
 from hil.live.process import start_foxglove_server
 from hil.recording.recorder import Recorder
 from hil.recording.schemas import LOG_TOPIC
@@ -200,6 +202,67 @@ def test_the_process_ends_with_the_run(capfd: pytest.CaptureFixture[str]) -> Non
     own.close()
     assert started.wait(60) == 0
     assert "without encryption" not in capfd.readouterr().err
+
+
+def test_a_connection_to_the_library_does_not_keep_the_process_alive() -> None:
+    own = LiveFeed(RUN, {}, lambda: "")
+    started, url = start_foxglove_server(own.path, "127.0.0.1", 0)
+    with contextlib.ExitStack() as stack:
+        stack.callback(started.kill)
+        wait_for(Client.connect(url))  # it serves
+        # A program of this machine finds the library's server, and sends no request.
+        endpoints = listening(started.pid) - {("127.0.0.1", urlsplit(url).port)}
+        assert len(endpoints) == 1
+        stack.enter_context(socket.create_connection(endpoints.pop()))
+        own.close()
+        assert started.wait(60) == 0
+
+
+def listening(pid: int) -> set[tuple[str, int]]:
+    """Return the IPv4 addresses and ports on which a process listens (proc(5))."""
+    opened = {str(path.readlink()) for path in Path(f"/proc/{pid}/fd").iterdir()}
+    found = set()
+    for line in Path("/proc/net/tcp").read_text().splitlines()[1:]:
+        _, local, _, state, *_, inode = line.split()[:10]
+        if state == "0A" and f"socket:[{inode}]" in opened:
+            address, port = local.split(":")
+            found.add((socket.inet_ntoa(int(address, 16).to_bytes(4, sys.byteorder)), int(port, 16)))
+    return found
+
+
+def test_a_library_server_that_does_not_stop_holds_up_no_next_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released = threading.Event()
+    in_loop: list[bool] = []
+    ports = iter((1001, 1002))
+
+    def stop() -> None:
+        in_loop.append(threading.current_thread() is threading.main_thread())
+        released.wait(20.0)
+
+    def start_server(**_options: object) -> mock.Mock:
+        return mock.Mock(port=next(ports), stop=stop)
+
+    monkeypatch.setattr(foxglove, "start_server", start_server)
+    link = tmp_path / "feed"
+    loop, disconnect = mock.Mock(), mock.Mock()
+    first = LiveFeed(RUN, {}, lambda: "", link)
+    streams = Streams(link, is_followed=True, loop=loop, disconnect=disconnect)
+    before = streams.endpoint()
+    assert before is not None and before[1] == 1001
+    first.close()
+    streams.update()
+    disconnect.assert_called_once_with()
+    assert streams.endpoint() is None  # nobody is connected with a server that has no run
+    second = LiveFeed(RUN, {}, lambda: "", link)
+    streams.update()
+    after = streams.endpoint()
+    assert after is not None and after[1] == 1002
+    second.close()
+    streams.update()
+    assert not any(in_loop) and not loop.stop.called
+    released.set()
 
 
 def test_a_stream_on_the_network_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
