@@ -173,7 +173,7 @@ class FeedReader:
         length = int.from_bytes(self._memory[8:12], "little")
         begin = int.from_bytes(self._memory[12:16], "little")
         description = json.loads(bytes(self._memory[_JSON_BEGIN : _JSON_BEGIN + length]))
-        if description.get("format") != FORMAT or description["run"].keys() != FORMAT["run"].keys():
+        if description.get("format") != FORMAT or set(description["run"]) != set(FORMAT["run"]):
             self.close()
             raise FeedVersionError(
                 f"{path}: the feed of the run is of another version of hil than this program: start `hil live` "

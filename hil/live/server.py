@@ -135,13 +135,13 @@ class Viewer(websocket.WebSocketHandler):
             answer = _refusal(f"not a request: {error}")
         if answer is not None:
             self._add_answer(request, answer)
-            await self.update()
 
     def _add_answer(self, request: object, answer: dict[str, Any]) -> None:
-        """Keep an answer for the next update. It has the request's ``id``, if that is a number."""
+        """Send an answer as soon as possible. It has the request's ``id``, if that is a number."""
         if isinstance(request, dict) and isinstance(request.get("id"), int):
             answer["id"] = request["id"]
         self._answers = [*self._answers[-MAX_ANSWERS:], answer]
+        ioloop.IOLoop.current().add_callback(self.update)
 
     async def update(self) -> None:
         """Send what is new, unless the last update is still on its way: a slow viewer loses rows.
@@ -231,7 +231,11 @@ def application(hosts: list[str], token: str, make_source: object) -> web.Applic
             (r"/", Page),
             (r"/stream", Viewer),
             (rf"/library/({names})", PageFile, {"path": library}),
-            (r"/page/(live\.js|chart\.js|connection\.js|jog\.js|live\.css)", PageFile, {"path": str(PAGE_FOLDER)}),
+            (
+                r"/page/(live\.js|chart\.js|connection\.js|jog\.js|live\.css)",
+                PageFile,
+                {"path": str(PAGE_FOLDER)},
+            ),
         ],
         hosts=hosts,
         token=token,
