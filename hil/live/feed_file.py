@@ -176,8 +176,8 @@ class FeedReader:
         if description.get("format") != FORMAT or set(description["run"]) != set(FORMAT["run"]):
             self.close()
             raise FeedVersionError(
-                f"{path}: the feed of the run is of another version of hil than this program: start `hil live` "
-                "again, or the daemon if it is older"
+                f"{path}: the feed of the run is of another version of hil than this program: "
+                "start `hil live` again, or the daemon if it is older"
             )
         self.run = RunInformation(**description["run"])
         readers = []

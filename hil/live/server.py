@@ -232,7 +232,7 @@ def application(hosts: list[str], token: str, make_source: object) -> web.Applic
             (r"/stream", Viewer),
             (rf"/library/({names})", PageFile, {"path": library}),
             (
-                r"/page/(live\.js|chart\.js|connection\.js|jog\.js|live\.css)",
+                r"/page/((?:live|chart|connection|jog)\.js|live\.css)",
                 PageFile,
                 {"path": str(PAGE_FOLDER)},
             ),

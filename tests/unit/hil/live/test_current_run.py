@@ -80,8 +80,8 @@ def test_a_feed_of_another_version_is_reported_and_not_read(
         assert not current.update() and current.run.is_over
     (error,) = [message["feed_error"] for message in source.take()[0] if "feed_error" in message]
     assert error == (
-        f"{link}: the feed of the run is of another version of hil than this program: start `hil live` again, "
-        "or the daemon if it is older"
+        f"{link}: the feed of the run is of another version of hil than this program: "
+        "start `hil live` again, or the daemon if it is older"
     )
     assert running_feed(link) is None
     updated.close()
