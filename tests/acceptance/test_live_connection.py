@@ -171,7 +171,7 @@ def test_a_stop_without_an_answer_is_reported(page: Page, served: Served) -> Non
         expect(page.locator("#reply")).to_contain_text(
             re.compile(
                 r"stop(: (no answer for 2 s|the connection was lost before the answer)\. It may have been "
-                r"done or not| was not sent: no connection)\. Use `hil stop` in a terminal, or the emergency stop"
+                r"done or not| was not sent: no connection)\. Use `hil stop` in a terminal, or the emergency"
             ),
             timeout=WAIT_MS,
         )
