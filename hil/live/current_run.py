@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from time import monotonic
 
-from hil.live.feed_file import FeedReader, running_feed
+from hil.live.feed_file import FeedReader, FeedVersionError, next_feed
 from hil.live.run import Run
 
 SEARCH_INTERVAL_S = 0.5
@@ -21,6 +21,8 @@ class CurrentRun:
         self.is_followed = is_followed
         """True if the next run of the daemon is shown after the end of this one."""
         self.run = Run(FeedReader(feed))
+        self.feed_error = ""
+        """Why the next run cannot be shown, although there is one; empty if nothing is wrong."""
         self._next_search_s = 0.0
 
     def update(self) -> bool:
@@ -35,7 +37,12 @@ class CurrentRun:
         if now_s < self._next_search_s:
             return False
         self._next_search_s = now_s + SEARCH_INTERVAL_S
-        feed = running_feed(self._feed)
+        try:
+            feed = next_feed(self._feed)
+            self.feed_error = ""
+        except FeedVersionError as error:
+            feed = None
+            self.feed_error = str(error)
         if feed is None:
             return False
         self.run.close()

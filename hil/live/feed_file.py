@@ -21,7 +21,7 @@ from typing import Any
 import msgspec
 
 from hil.core.errors import EnvironmentLackError, OperationError
-from hil.live.period_record import period_bytes
+from hil.live.period_record import period_bytes, period_format
 from hil.live.ring import OVERHEAD_BYTES, RingReader, RingWriter, ring_bytes
 
 FOLDER = Path("/dev/shm")
@@ -88,6 +88,20 @@ class RunInformation:
     """Text of the rig file."""
 
 
+FORMAT = {
+    "run": RunInformation.__annotations__,
+    "status": FeedStatus.__annotations__,
+    "log": FeedLog.__annotations__,
+    "period": period_format(),
+}
+"""Names and types of everything in the file, by which a reader of another version of the program sees that it
+cannot read it."""
+
+
+class FeedVersionError(OperationError):
+    """The feed was written by a version of the program that this one cannot read."""
+
+
 class FeedWriter:
     """The loop's end of the file. Creating it reserves all memory, so that writing cannot fail later."""
 
@@ -96,7 +110,7 @@ class FeedWriter:
         slot = OVERHEAD_BYTES + period_bytes(len(run.axes))
         slots = round(HISTORY_S / run.period_s)
         shapes = ((slot, slots), (_LOG_SLOT_BYTES, LOG_ENTRIES), (STATUS_BYTES, STATUS_SLOTS))
-        description: dict[str, Any] = {"run": asdict(run), "rings": shapes}
+        description: dict[str, Any] = {"format": FORMAT, "run": asdict(run), "rings": shapes}
         text = json.dumps(description).encode()
         begin = -(-(_JSON_BEGIN + len(text)) // _PAGE_BYTES) * _PAGE_BYTES
         size = begin + sum(ring_bytes(*shape) for shape in shapes)
@@ -159,6 +173,12 @@ class FeedReader:
         length = int.from_bytes(self._memory[8:12], "little")
         begin = int.from_bytes(self._memory[12:16], "little")
         description = json.loads(bytes(self._memory[_JSON_BEGIN : _JSON_BEGIN + length]))
+        if description.get("format") != FORMAT or set(description["run"]) != set(FORMAT["run"]):
+            self.close()
+            raise FeedVersionError(
+                f"{path}: the feed of the run is of another version of hil than this program: "
+                "start `hil live` again, or the daemon if it is older"
+            )
         self.run = RunInformation(**description["run"])
         readers = []
         for slot_bytes, slots in description["rings"]:
@@ -202,7 +222,17 @@ def running_feed(path: Path) -> FeedReader | None:
     The link of a daemon that was killed stays, and the feed of one that begins is not complete yet.
     """
     try:
+        return next_feed(path)
+    except FeedVersionError:
+        return None
+
+
+def next_feed(path: Path) -> FeedReader | None:
+    """Return the feed at ``path`` as ``running_feed`` does. Raises FeedVersionError if it is unreadable."""
+    try:
         feed = FeedReader(path)
+    except FeedVersionError:
+        raise
     except OperationError:
         return None
     if feed.is_over():

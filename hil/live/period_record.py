@@ -26,6 +26,11 @@ def period_bytes(axes: int) -> int:
     return struct.calcsize(_format(axes))
 
 
+def period_format() -> list[str]:
+    """Return names and types of the fields of a period with one axis."""
+    return [*_INSTANTS, *Cycle._fields, *AxisSignals._fields, _format(1)]
+
+
 def packer(axes: int) -> Pack:
     """Return a function that packs a period, when its answer was computed, and when it had been sent."""
     pack = struct.Struct(_format(axes)).pack

@@ -127,7 +127,7 @@ class PlaybackSource:
         messages.append({"position_s": self._position_s})
         return messages, rows
 
-    def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
+    async def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
         """Take ``{"speed": x}``, ``{"paused": true}`` or ``{"seek_s": s}``. Raises ValueError."""
         if "speed" in request:
             speed = float(request["speed"])

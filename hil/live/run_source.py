@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from time import monotonic
 from typing import Any
 
 from hil.live.current_run import CurrentRun
@@ -20,6 +21,7 @@ class RunSource:
     def __init__(self, current: CurrentRun, operator: DaemonOperator | None) -> None:
         self._current = current
         self._operator = operator
+        self._feed_error = ""
         self._follow(current.run)
 
     def _follow(self, run: Run) -> None:
@@ -32,6 +34,7 @@ class RunSource:
         self._readings: object = None
         self._bus: object = None
         self._is_over = False
+        self._last_s: float | None = None
 
     def begin(self) -> list[dict[str, Any]]:
         """Return what the run is."""
@@ -44,7 +47,12 @@ class RunSource:
         ]
 
     def take(self) -> tuple[list[dict[str, Any]], Rows]:
-        """Return messages and rows that are new since the last call."""
+        """Return messages and rows that are new since the last call.
+
+        The last message has ``beat_s``, the present time of this process's monotonic clock, which a page
+        repeats in a jog; ``age_s``, the age of the viewer's last row in s by the same clock, or None without
+        a row; and ``is_behind``, True if there are more rows than one update has.
+        """
         messages: list[dict[str, Any]] = []
         if self._current.run is not self._run:
             self._follow(self._current.run)
@@ -70,12 +78,25 @@ class RunSource:
         if run.is_over and not self._is_over:
             self._is_over = True
             messages.append({"over": True, "is_awaited": self._current.is_followed})
+        if self._current.feed_error != self._feed_error:
+            self._feed_error = self._current.feed_error
+            messages.append({"feed_error": self._feed_error})
         rows = run.history.since(self._next_row, MAX_ROWS)
         self._next_row = max(self._next_row, run.history.begin) + len(rows)
+        if len(rows):
+            self._last_s = float(rows[-1, 0])
+        messages.append(self._beat())
         return messages, rows
 
-    def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
+    def _beat(self) -> dict[str, Any]:
+        beat_s, age_s = monotonic(), None
+        if self._last_s is not None:
+            # The loop's deadlines have the same clock: it runs on this machine.
+            age_s = max(beat_s - self._run.information["start_ns"] * 1e-9 - self._last_s, 0.0)
+        return {"beat_s": beat_s, "age_s": age_s, "is_behind": self._next_row < self._run.history.end}
+
+    async def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
         """Pass an operator's request to the daemon."""
         if self._operator is None:
             return {"reply": {"accepted": False, "text": "this page only shows; start it with --operate"}}
-        return {"reply": self._operator.ask(request)}
+        return {"reply": await self._operator.ask(request)}

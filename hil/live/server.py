@@ -17,7 +17,6 @@ import logging
 import os
 import socket
 import sys
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.util import find_spec
@@ -43,12 +42,13 @@ LAST_UPDATES_S = 1.0
 MAX_VIEWERS = 16
 MAX_ANSWERS = 20
 """Number of answers that wait for a viewer; older ones are dropped."""
+MAX_REQUESTS = 20
+"""Number of requests of a viewer that wait for their answer. Further ones are refused; Stops are counted
+beyond it, up to twice this number."""
 MAX_REQUEST_BYTES = 100_000
 """Longest message of a viewer. A controller document fits in."""
 MAX_ERROR_CHARACTERS = 300
 """Longest text that says why a message is no request. A longer one is cut off."""
-HEARTBEAT_S = 1.0
-"""Longest time without a message. So a page notices that it has lost a server that closed no connection."""
 MAX_CONNECTIONS = 256
 """Number of open connections, of viewers and others."""
 REQUEST_TIMEOUT_S = 30.0
@@ -67,7 +67,7 @@ class Source(Protocol):
     def take(self) -> tuple[list[dict[str, Any]], Rows]:
         """Return messages and rows that are new since the last call."""
 
-    def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
+    async def request(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
         """Take a request of the viewer; return an answer or None."""
 
 
@@ -94,36 +94,60 @@ class Viewer(websocket.WebSocketHandler):
         self._answers: list[dict[str, Any]] = []
         self._is_sending = False
         self._is_first = True
-        self._sent_s = 0.0
+        self._requests: dict[asyncio.Task[None], object] = {}
+        """Names of the requests that wait for their answer."""
         self.application.settings["viewers"].add(self)
 
     def on_close(self) -> None:
-        """Forget the viewer."""
+        """Forget the viewer, and its jogs that were not given to the daemon yet."""
         self.application.settings["viewers"].discard(self)
+        for task, name in self._requests.items():
+            if name == "jog":
+                task.cancel()
 
-    async def on_message(self, message: str | bytes) -> None:
+    def on_message(self, message: str | bytes) -> None:
         """Take a request of the page. What is no request is answered with the reason.
 
-        The next message of this viewer is read after the answer. Another thread waits for a daemon. The
-        answer has the request's ``id``, if it is a number.
+        The next message is read at once: a Stop must not wait for the answer to an earlier request.
         """
         request: Any = None
         try:
             request = json.loads(message)
             if not isinstance(request, dict):
                 raise ValueError("a request is a JSON object")
-            answer = await asyncio.to_thread(self.source.request, request)
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            text = f"not a request: {error}"[:MAX_ERROR_CHARACTERS]
-            answer = {"reply": {"accepted": False, "text": text}}
-        if answer is None:
+        except (ValueError, RecursionError) as error:
+            self._add_answer(request, _refusal(f"not a request: {error}"))
             return
+        name = request.get("request")
+        if len(self._requests) >= MAX_REQUESTS * (2 if name == "stop" else 1):
+            text = f"{MAX_REQUESTS} requests of this page wait for their answer, the limit; try again later"
+            self._add_answer(request, _refusal(text))
+            return
+        task = asyncio.create_task(self._serve(request))
+        self._requests[task] = name
+        task.add_done_callback(lambda done: self._requests.pop(done, None))
+
+    async def _serve(self, request: dict[str, Any]) -> None:
+        """Let the source take a request, and send its answer."""
+        try:
+            answer = await self.source.request(request)
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            answer = _refusal(f"not a request: {error}")
+        if answer is not None:
+            self._add_answer(request, answer)
+
+    def _add_answer(self, request: object, answer: dict[str, Any]) -> None:
+        """Send an answer as soon as possible. It has the request's ``id``, if that is a number."""
         if isinstance(request, dict) and isinstance(request.get("id"), int):
             answer["id"] = request["id"]
         self._answers = [*self._answers[-MAX_ANSWERS:], answer]
+        ioloop.IOLoop.current().add_callback(self.update)
 
     async def update(self) -> None:
-        """Send what is new, unless the last update is still on its way: a slow viewer loses rows."""
+        """Send what is new, unless the last update is still on its way: a slow viewer loses rows.
+
+        A source always has a message, by which a page notices that the server lives.
+        """
         if self._is_sending:
             return
         self._is_sending = True
@@ -134,9 +158,7 @@ class Viewer(websocket.WebSocketHandler):
             if self._is_first:
                 messages = self.source.begin() + messages
                 self._is_first = False
-            if messages or time.monotonic() - self._sent_s > HEARTBEAT_S:
-                await self.write_message(json.dumps(messages))
-                self._sent_s = time.monotonic()
+            await self.write_message(json.dumps(messages))
             for begin in range(0, len(rows), MAX_ROWS):
                 part = np.ascontiguousarray(rows[begin : begin + MAX_ROWS])
                 await self.write_message(part.tobytes(), binary=True)
@@ -144,6 +166,11 @@ class Viewer(websocket.WebSocketHandler):
             self.application.settings["viewers"].discard(self)
         finally:
             self._is_sending = False
+
+
+def _refusal(text: str) -> dict[str, Any]:
+    """Return the answer to a message that is refused."""
+    return {"reply": {"accepted": False, "text": text[:MAX_ERROR_CHARACTERS]}}
 
 
 class Page(web.RequestHandler):
@@ -204,7 +231,11 @@ def application(hosts: list[str], token: str, make_source: object) -> web.Applic
             (r"/", Page),
             (r"/stream", Viewer),
             (rf"/library/({names})", PageFile, {"path": library}),
-            (r"/page/(live\.js|chart\.js|connection\.js|live\.css)", PageFile, {"path": str(PAGE_FOLDER)}),
+            (
+                r"/page/((?:live|chart|connection|jog)\.js|live\.css)",
+                PageFile,
+                {"path": str(PAGE_FOLDER)},
+            ),
         ],
         hosts=hosts,
         token=token,

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from time import monotonic_ns
 
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
-from support.live_feeds import cycle, gateway, make_feed, write_periods
+from support.live_feeds import PERIOD_NS, cycle, gateway, make_feed, write_periods
+from support.recorded_runs import wait_until
 
 from hil.cli import main
 from hil.live.address import Address, open_address
 from hil.live.feed import STATUS_PERIODS, LiveFeed
 from hil.live.process import start_page_server
+from hil.operation.protocol import PROTOCOL, VERSION, Answer, Greeting, decode_call, encode_line
 
 pytestmark = pytest.mark.real_time
 
@@ -72,8 +78,14 @@ class Served:
         self._process.wait()
 
     def write(self, *numbers: int) -> None:
+        """Write periods, which are old: the page's second 0 is the start of the machine."""
         write_periods(self.feed, *numbers)
         self.feed.cycle(cycle(STATUS_PERIODS), gateway())
+
+    def write_now_until(self, is_seen: Callable[[], bool]) -> None:
+        """Write the period of the present again and again until the page shows something."""
+        while not is_seen():
+            write_periods(self.feed, monotonic_ns() // PERIOD_NS)
 
     def close(self) -> None:
         self.kill()
@@ -100,7 +112,7 @@ def test_a_lost_connection_is_shown_and_opened_again(page: Page, served: Served)
     state, trouble, stop = page.locator("#state"), page.locator("#connection"), page.locator("#stop")
     expect(state).to_have_text("connection lost", timeout=WAIT_MS)
     expect(trouble).to_contain_text("Connection lost, trying again.")
-    expect(trouble).to_contain_text(re.compile(r"The last data are from .*\d.*, \d+ s ago"))
+    expect(trouble).to_contain_text(re.compile(r"The last data are from .*\d.*, \d+ (s|min|h) ago"))
     expect(stop).to_have_text("Stop: no connection")
     expect(page.locator(".chart h3").first).to_contain_text("measured –")
     page.keyboard.press("Escape")
@@ -113,9 +125,10 @@ def test_a_lost_connection_is_shown_and_opened_again(page: Page, served: Served)
     page.wait_for_function("hilLive.rows.length === 300", timeout=WAIT_MS)  # also what came meanwhile, once
     expect(state).not_to_have_text("connection lost")
     expect(stop).to_have_text("Stop")
-    served.write(*range(300, 400))
-    expect(state).to_have_text("running", timeout=WAIT_MS)
-    expect(trouble).to_be_hidden()
+    expect(state).to_have_text(
+        "no data", timeout=WAIT_MS
+    )  # the periods are old, although they have come just now
+    served.write_now_until(lambda: state.inner_text() == "running" and not trouble.is_visible())
     expect(page.get_by_role("button", name="Arm", exact=True)).to_have_count(1)  # not built twice
 
 
@@ -142,14 +155,97 @@ def test_a_server_or_loop_that_hangs_is_not_shown_as_the_present(page: Page, ser
     served.send_signal(signal.SIGSTOP)
     try:
         expect(trouble).to_contain_text("The server does not answer.", timeout=WAIT_MS)
-        page.keyboard.press("Escape")
-        expect(page.locator("#reply")).to_contain_text("stop: no answer for 2 s.", timeout=WAIT_MS)
         expect(state).to_have_text("connection lost", timeout=WAIT_MS)
     finally:
         served.send_signal(signal.SIGCONT)
     served.write(*range(100, 200))
     page.wait_for_function("hilLive.rows.length === 200", timeout=WAIT_MS)
     expect(page.locator("#stop")).to_have_text("Stop")
+
+
+def test_a_stop_without_an_answer_is_reported(page: Page, served: Served) -> None:
+    open_page(page, served, 100)
+    served.send_signal(signal.SIGSTOP)
+    try:
+        page.keyboard.press("Escape")  # also after the connection was given up, on a slow machine
+        expect(page.locator("#reply")).to_contain_text(
+            re.compile(
+                r"stop(: (no answer for 2 s|the connection was lost before the answer)\. It may have been "
+                r"done or not| was not sent: no connection)\. Use `hil stop` in a terminal, or the emergency"
+            ),
+            timeout=WAIT_MS,
+        )
+    finally:
+        served.send_signal(signal.SIGCONT)
+
+
+class JoggedDaemon:
+    """A daemon that accepts and counts every request."""
+
+    def __init__(self, path: Path) -> None:
+        self.requests: list[str] = []
+        self._listener = socket.socket(socket.AF_UNIX)
+        self._listener.bind(str(path))
+        self._listener.listen()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = self._listener.accept()
+                threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        with connection, connection.makefile("rwb") as lines:
+            lines.write(encode_line(Greeting(PROTOCOL, VERSION, "test")))
+            lines.flush()
+            for line in lines:
+                call = decode_call(line)
+                self.requests.append(json.loads(line)["request"])
+                lines.write(encode_line(Answer(id=call.id, accepted=True, text="done")))
+                lines.flush()
+
+    def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+
+
+def test_a_jog_that_was_held_while_the_server_was_suspended_is_not_given_later(
+    page: Page, served: Served, tmp_path: Path
+) -> None:
+    daemon = JoggedDaemon(tmp_path / "no-daemon")
+    sent: list[str] = []
+
+    def note(data: str | bytes) -> None:
+        if "jog" in str(data):
+            sent.append(str(data))
+
+    page.on("websocket", lambda opened: opened.on("framesent", note))
+    open_page(page, served, 100)
+    jog = page.get_by_role("button", name="Hold to jog")
+    jog.dispatch_event("pointerdown")
+    wait_until(
+        lambda: bool(page.evaluate("jog.isHeld")) and daemon.requests.count("jog") >= 3, "three jogs", 60.0
+    )
+    jog.dispatch_event("pointerup")
+    page.wait_for_function("jog.waitingId === 0")
+    given, before = daemon.requests.count("jog"), len(sent)
+    served.send_signal(signal.SIGSTOP)
+    try:
+        jog.dispatch_event("pointerdown")
+        expect(page.locator("#trouble")).to_contain_text("The server does not answer.", timeout=WAIT_MS)
+        jog.dispatch_event("pointerup")
+        assert len(sent) == before + 1  # the next one waits for the answer
+    finally:
+        served.send_signal(signal.SIGCONT)
+    page.wait_for_function("jog.waitingId === 0")
+    refused = re.compile("jog(: the connection was lost| was not given to the daemon: it is)")
+    expect(page.locator("#reply")).to_contain_text(refused)
+    expect(page.locator("#stop")).to_have_text("Stop", timeout=WAIT_MS)
+    page.keyboard.press("Escape")
+    wait_until(lambda: bool(page.evaluate("true")) and "stop" in daemon.requests, "the Stop", 60.0)
+    assert daemon.requests.count("jog") == given
+    daemon.close()
 
 
 def test_another_token_is_explained(page: Page, served: Served) -> None:

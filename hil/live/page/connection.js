@@ -3,16 +3,19 @@
 
 const RETRY_MS = 500, MAX_RETRY_MS = 10000;  // time to the next attempt: twice as long after each
 const OPEN_TIMEOUT_MS = 5000;  // a server that is suspended takes connections and never answers
-const SILENT_MS = 10000;  // an open connection without a message for this long is dead: the server sends one each second
+const SILENT_MS = 10000;  // an open connection without a message for this long is dead: the server sends 20 a second
 const STALE_MS = 2000;  // data of this age are not shown as the present
 const STOP_ANSWER_MS = 2000, ANSWER_MS = 10000;  // a request that has no answer after this time is reported
 
-// `on`: functions messages(list), rows(Float64Array), changed(), unanswered(name of a request, text).
+// `on`: functions messages(list), rows(Float64Array), changed(), unanswered(id and name of a request, text).
 class Connection {
   constructor(on) {
     this.on = on;
     this.isOpen = this.isOver = false;
-    this.data_ms = null;  // time of day of the last data
+    this.data_ms = null;  // time of day of the last data, from the age that the server gives
+    this.beat_s = null;  // time of the server's own clock in its last message
+    this.isBehind = false;  // more of the past is on its way
+    this.feedError = "";  // why the next run of a daemon cannot be shown
     this.refused = 0;  // HTTP status with which the server refuses this page
     this.retry_ms = RETRY_MS;
     this.waiting = new Map();  // requests without an answer: name and time
@@ -23,8 +26,9 @@ class Connection {
     this.open();
   }
   get isStale() { return !this.isOver && (!this.isOpen || this.age_ms > STALE_MS); }
-  // Time since the last data, or since the connection was opened. The clock of the day goes on while a machine is suspended.
-  get age_ms() { return Math.max(Date.now() - Math.max(this.data_ms || 0, this.opened_ms || 0), 0); }
+  // Age of the last data, or without data the time since the connection was opened or the run began. The clock of the
+  // day goes on while a machine is suspended.
+  get age_ms() { return Math.max(Date.now() - (this.data_ms ?? this.opened_ms ?? 0), 0); }
 
   open() {
     const socket = this.socket = new WebSocket(`ws://${location.host}/stream${location.search}`);
@@ -54,8 +58,9 @@ class Connection {
     this.socket.onopen = this.socket.onmessage = this.socket.onclose = null;
     this.socket.close();
     this.isOpen = false;
-    for (const { name } of this.waiting.values()) this.on.unanswered(name, "the connection was lost before the answer");
+    const lost = [...this.waiting];
     this.waiting.clear();
+    for (const [id, { name }] of lost) this.on.unanswered(id, name, "the connection was lost before the answer");
     this.on.changed();
     this.timer = setTimeout(() => this.retry(), this.retry_ms);
     this.retry_ms = Math.min(2 * this.retry_ms, MAX_RETRY_MS);
@@ -81,31 +86,46 @@ class Connection {
       const limit_ms = name === "stop" ? STOP_ANSWER_MS : ANSWER_MS;
       if (now_ms - at_ms < limit_ms) continue;
       this.waiting.delete(id);
-      this.on.unanswered(name, `no answer for ${limit_ms / 1000} s`);
+      this.on.unanswered(id, name, `no answer for ${limit_ms / 1000} s`);
     }
     this.on.changed();
   }
-  // Send a message. Return false without a connection.
+  // Send a message. Return the id of a request, true for another message, or 0 without a connection.
   send(message) {
-    if (!this.isOpen) return false;
+    if (!this.isOpen) return 0;
     if (message.request) {
       message = { ...message, id: this.lastId += 1 };
       this.waiting.set(this.lastId, { name: message.request, at_ms: Date.now() });
     }
     this.socket.send(JSON.stringify(message));
-    return true;
+    return message.id || true;
   }
   answered(id) { this.waiting.delete(id); }
+  // `age_s`: age of the last row that the page has or gets with this message, by the server's clock.
+  tookBeat({ beat_s, age_s, is_behind }) {
+    this.beat_s = beat_s;
+    this.isBehind = is_behind;
+    if (age_s !== null) this.data_ms = Date.now() - 1000 * age_s;
+  }
   tookData() { this.data_ms = Date.now(); }
+  // Another run has begun, of which no data have come.
+  forgetData() {
+    this.data_ms = null;
+    this.opened_ms = Date.now();
+    this.isBehind = false;
+    this.feedError = "";
+  }
 
   // What is wrong, in words; empty if nothing is.
   get trouble() {
     if (this.refused === 403) return "The token of this page is no longer right: the command that serves the page was restarted. Open the new address that it printed.";
     if (this.refused === 503) return "Too many pages are open. Close one; this page tries again.";
+    if (this.isOver && this.isOpen && this.feedError) return this.feedError;
     if (this.isOver && (this.isOpen || !this.isAwaited)) return "";
     if (!this.isOpen) return "Connection lost, trying again. If the command that serves the page was restarted, open the new address that it printed.";
     if (!this.isStale) return "";
-    return Date.now() - this.message_ms > STALE_MS ? "The server does not answer." : "The loop sends no data.";
+    if (Date.now() - this.message_ms > STALE_MS) return "The server does not answer.";
+    return this.isBehind ? "" : "The loop sends no data.";
   }
   // How old the data are. It changes all the time, and is therefore not announced as the trouble is.
   get age() {

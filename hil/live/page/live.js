@@ -81,13 +81,14 @@ function take(message) {
   if (message.readings) setReadings(message.readings);
   if (message.over) { isOver = connection.isOver = true; connection.isAwaited = message.is_awaited; showConnection(); }
   if ("position_s" in message) { setPosition(message.position_s); connection.tookData(); }
-  if (message.reply) { connection.answered(message.id); showReply(message.reply); }
+  if ("beat_s" in message) connection.tookBeat(message);
+  if ("feed_error" in message) connection.feedError = message.feed_error;
+  if (message.reply) { connection.answered(message.id); showReply(message.reply); if (jog) jog.answered(message.id); }
 }
 
 function takeRows(values) {
   live.rows.add(values);
   live.received += values.length / live.rows.width;
-  connection.tookData();
   isDirty = true;
 }
 
@@ -104,6 +105,7 @@ function begin(message) {
     if (isRecording) resume();
   } else {
     live.run = run;
+    connection.forgetData();
     live.rows = new Rows(FIXED + 3 * run.axes.length, Math.ceil(HISTORY_S / run.period_s), GAP_PERIODS * run.period_s);
     next_row_s = -Infinity;
     pause(false);
@@ -269,7 +271,7 @@ function showConnection() {
   const { rows } = live, { isOpen, isStale, trouble } = connection;
   if (isOver) setState(connection.isAwaited ? "waiting for a daemon" : "run has ended", "lost");
   else if (!isOpen) setState(live.run ? "connection lost" : "no connection", "lost");
-  else if (isStale) setState("no data", "lost");
+  else if (isStale) setState(connection.isBehind ? "loading" : "no data", "lost");
   else if (rows && rows.length) setState(live.run.states[rows.at(rows.end - 1, 3)]);
   document.body.classList.toggle("stale", isStale || isOver);
   byId("connection").hidden = !trouble;
@@ -357,8 +359,9 @@ function setPosition(position_s) {
 
 // Operator
 
-let jogTimer = null;
+let jog = null;  // of the button that is held
 function buildOperator() {
+  if (jog) jog.release();
   const bar = byId("operator");
   bar.replaceChildren();
   bar.hidden = byId("stop").hidden = !mayOperate;
@@ -373,23 +376,22 @@ function buildOperator() {
   const setpoint = field("setpoint", { type: "text", size: 12 });
   button("Set", () => ({ request: "setpoint", axis: axis.value, setpoint: setpoint.value }));
   const volts = field("jog, V", { type: "number", step: 0.1, value: 0.5, style: "width: 6em" });
-  const jog = button("Hold to jog", () => ({}));
-  const again = () => { if (!send({ request: "jog", axis: axis.value, offset_v: Number(volts.value), duration_s: 0.2 })) release(); };
-  const release = () => { clearInterval(jogTimer); jogTimer = null; };
-  const press = (event) => { event.preventDefault(); if (!jogTimer) { jogTimer = setInterval(again, 100); again(); } };
-  release();
-  const fresh = jog.cloneNode(true);  // without the listener for a click
-  jog.replaceWith(fresh);
-  fresh.addEventListener("pointerdown", press);
-  fresh.addEventListener("keydown", (event) => { if (event.key === " " || event.key === "Enter") press(event); });
-  for (const name of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) fresh.addEventListener(name, release);
+  const held = document.createElement("button");
+  held.textContent = "Hold to jog";
+  bar.append(held);
+  // The server refuses a jog whose `beat_s` is old: it may have waited somewhere after the button was released.
+  jog = new HeldJog(() => send({ request: "jog", axis: axis.value, offset_v: Number(volts.value), duration_s: 0.2, beat_s: connection.beat_s }));
+  const press = (event) => { event.preventDefault(); jog.press(); };
+  held.addEventListener("pointerdown", press);
+  held.addEventListener("keydown", (event) => { if (event.key === " " || event.key === "Enter") press(event); });
+  for (const name of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) held.addEventListener(name, () => jog.release());
   const file = field("controller", { type: "file", accept: ".json" });
   file.addEventListener("change", async () => {
     if (file.files.length) send({ request: "controller", axis: axis.value, name: file.files[0].name, document: await file.files[0].text() });
     file.value = "";
   });
 }
-byId("stop").addEventListener("click", () => send({ request: "stop" }));
+byId("stop").addEventListener("click", () => { if (jog) jog.release(); send({ request: "stop" }); });
 const INSTEAD = "Use `hil stop` in a terminal, or the emergency stop.";
 function showReply({ accepted, text }) {
   const box = byId("reply");
@@ -398,10 +400,11 @@ function showReply({ accepted, text }) {
   box.className = accepted ? "reply" : "reply refused";
 }
 function send(message) {
-  if (connection.send(message)) return true;
+  const id = connection.send(message);
+  if (id) return id;
   const what = message.request ? `${message.request} was not sent: no connection.` : "Not sent: no connection.";
   showReply({ accepted: false, text: message.request === "stop" ? `${what} ${INSTEAD}` : what });
-  return false;
+  return 0;
 }
 
 // One button: it holds the view, and a recording with it.
@@ -472,6 +475,9 @@ const connection = new Connection({
   messages: (messages) => messages.forEach(take),
   rows: takeRows,
   changed: () => { showConnection(); if (connection.isStale) isDirty = true; },
-  unanswered: (name, why) => showReply({ accepted: false, text: `${name}: ${why}. It may have been done or not.${name === "stop" ? ` ${INSTEAD}` : ""}` }),
+  unanswered: (id, name, why) => {
+    if (jog) jog.unanswered(id);
+    showReply({ accepted: false, text: `${name}: ${why}. It may have been done or not.${name === "stop" ? ` ${INSTEAD}` : ""}` });
+  },
 });
 requestAnimationFrame(draw);

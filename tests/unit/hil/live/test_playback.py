@@ -1,5 +1,6 @@
 """A recording on the live page: what a viewer gets, by its own position and speed."""
 
+import asyncio
 from pathlib import Path
 from unittest import mock
 
@@ -43,7 +44,7 @@ def test_rows_are_those_of_the_recording(recorded: Path) -> None:
 
 def test_time_passes_at_the_chosen_speed(source: PlaybackSource, clock: mock.Mock) -> None:
     source.take()
-    source.request({"speed": 2})
+    asyncio.run(source.request({"speed": 2}))
     clock.return_value += 0.5
     messages, rows = source.take()
     assert {"position_s": 1.0} in messages
@@ -54,7 +55,7 @@ def test_time_passes_at_the_chosen_speed(source: PlaybackSource, clock: mock.Moc
 
 
 def test_a_paused_recording_stands_still(source: PlaybackSource, clock: mock.Mock) -> None:
-    source.request({"paused": True})
+    asyncio.run(source.request({"paused": True}))
     clock.return_value += 5.0
     messages, rows = source.take()
     assert {"position_s": 0.0} in messages and len(rows) <= 1
@@ -63,7 +64,7 @@ def test_a_paused_recording_stands_still(source: PlaybackSource, clock: mock.Moc
 def test_seeking_sends_what_came_before(source: PlaybackSource, clock: mock.Mock) -> None:
     clock.return_value += 1.0
     source.take()
-    source.request({"seek_s": 2.0})
+    asyncio.run(source.request({"seek_s": 2.0}))
     messages, rows = source.take()
     assert messages[0] == {"clear": True}
     assert rows[0, 0] == 0.0 and 1.9 < rows[-1, 0] <= 2.0
@@ -98,7 +99,7 @@ def test_the_last_step_is_read_as_in_the_summary(
 )
 def test_a_wrong_request_is_refused(source: PlaybackSource, request_: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"speed|seek_s|between"):
-        source.request(request_)
+        asyncio.run(source.request(request_))
 
 
 def test_the_address_is_on_this_machine_alone() -> None:

@@ -4,6 +4,7 @@ import asyncio
 import json
 from collections.abc import Mapping
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from tornado.testing import AsyncHTTPTestCase, gen_test
 from tornado.web import Application
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
-from hil.live import server
+from hil.live import run_source, server
 from hil.live.current_run import CurrentRun
 from hil.live.feed import STATUS_PERIODS
 from hil.live.run import MISSED
@@ -31,9 +32,25 @@ class Recorded:
     def __init__(self) -> None:
         self.asked: list[Mapping[str, Any]] = []
 
-    def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+    async def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
         self.asked.append(request)
         return {"accepted": True, "text": "done"}
+
+
+class Hung:
+    """An operator that answers only Stop."""
+
+    def __init__(self) -> None:
+        self.cancelled: list[object] = []
+
+    async def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        try:
+            if request["request"] != "stop":
+                await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            self.cancelled.append(request["request"])
+            raise
+        return {"accepted": True, "text": "stopped"}
 
 
 class LivePage(AsyncHTTPTestCase):
@@ -43,7 +60,7 @@ class LivePage(AsyncHTTPTestCase):
         self.run_ = self.current.run
         write_periods(self.feed, 1, 2, 3)
         self.run_.update()
-        self.operator: Recorded | None = None
+        self.operator: Recorded | Hung | None = None
         app = application([], TOKEN, lambda: RunSource(self.current, self.operator))
         self.hosts: list[str] = app.settings["hosts"]
         return app
@@ -126,22 +143,25 @@ class LivePage(AsyncHTTPTestCase):
             ["status"],
             ["bus"],
             ["readings"],
+            ["beat_s", "age_s", "is_behind"],
         ]
 
     async def answer_to(self, message: str) -> dict[str, Any]:
         connection = await self.viewer()
-        (viewer,) = self._app.settings["viewers"]
         await connection.write_message(message)
-        while not viewer._answers:
-            await asyncio.sleep(0)
-        await viewer.update()
+        answer = await self.next_answer(connection)
+        connection.close()
+        self._app.settings["viewers"].clear()
+        return dict(answer["reply"])
+
+    async def next_answer(self, connection: WebSocketClientConnection) -> dict[str, Any]:
+        """Return the next message with an answer. The server sends it at once."""
         while True:
             received = await connection.read_message()
+            assert received is not None
             replies = [m for m in json.loads(received) if "reply" in m] if isinstance(received, str) else []
             if replies:
-                connection.close()
-                self._app.settings["viewers"].clear()
-                return dict(replies[0]["reply"])
+                return dict(replies[0])
 
     @patient
     async def test_a_page_that_only_shows_refuses_requests(self) -> None:
@@ -208,23 +228,78 @@ class LivePage(AsyncHTTPTestCase):
             assert message is not None
         return np.frombuffer(message).reshape(-1, 8)
 
+    async def beat_of(self, connection: WebSocketClientConnection) -> dict[str, Any]:
+        """Return the next message about the age of the data."""
+        while True:
+            message = await connection.read_message()
+            assert message is not None
+            beats = [m for m in json.loads(message) if "beat_s" in m] if isinstance(message, str) else []
+            if beats:
+                return dict(beats[0])
+
     @patient
     async def test_a_page_is_told_that_the_server_lives_although_no_data_come(self) -> None:
         connection = await self.viewer()
         (viewer,) = self._app.settings["viewers"]
-        await viewer.update()
-        await self.rows_of(connection)
-        viewer._sent_s -= 2.0 * server.HEARTBEAT_S
-        await viewer.update()
-        assert await connection.read_message() == "[]"
+        for now_s in (100.0, 100.05):
+            with mock.patch.object(run_source, "monotonic", lambda now_s=now_s: now_s):
+                await viewer.update()
+            assert (await self.beat_of(connection))["beat_s"] == now_s
+        connection.close()
+
+    @patient
+    async def test_data_of_a_feed_that_stands_still_are_old_from_the_first_message_on(self) -> None:
+        last_s = 3 * 0.0112  # the page's second 0 is that of the clock
+        with mock.patch.object(run_source, "monotonic", lambda: last_s + 600.0):
+            connection = await self.viewer()
+            (viewer,) = self._app.settings["viewers"]
+            await viewer.update()
+        assert (await self.beat_of(connection))["age_s"] == pytest.approx(600.0)
         connection.close()
 
     @patient
     async def test_an_answer_has_the_number_of_the_request(self) -> None:
+        self.operator = Recorded()
+        connection = await self.viewer()
+        await connection.write_message('{"request": "stop", "id": 7}')
+        assert (await self.next_answer(connection))["id"] == 7
+        connection.close()
+
+    @patient
+    async def test_stop_does_not_wait_for_an_earlier_request_of_the_same_page(self) -> None:
+        self.operator = Hung()
+        connection = await self.viewer()
+        await connection.write_message('{"request": "controller", "id": 1}')
+        await connection.write_message('{"request": "stop", "id": 2}')
+        assert await self.next_answer(connection) == {
+            "reply": {"accepted": True, "text": "stopped"},
+            "id": 2,
+        }
+        connection.close()
+
+    @patient
+    async def test_of_the_requests_that_wait_the_number_is_limited_but_stop_is_answered(self) -> None:
+        self.operator = Hung()
+        connection = await self.viewer()
+        for number in range(server.MAX_REQUESTS + 1):
+            await connection.write_message(json.dumps({"request": "arm", "id": number}))
+        answer = await self.next_answer(connection)
+        assert answer["id"] == server.MAX_REQUESTS
+        assert answer["reply"]["text"].startswith("20 requests of this page wait for their answer")
+        await connection.write_message('{"request": "stop", "id": 99}')
+        assert (await self.next_answer(connection))["id"] == 99
+        connection.close()
+
+    @patient
+    async def test_jogs_of_a_page_that_was_closed_are_dropped(self) -> None:
+        self.operator = Hung()
         connection = await self.viewer()
         (viewer,) = self._app.settings["viewers"]
-        await connection.write_message('{"request": "stop", "id": 7}')
-        while not viewer._answers:
+        await connection.write_message('{"request": "start"}')
+        await connection.write_message('{"request": "jog"}')
+        while len(viewer._requests) < 2:
             await asyncio.sleep(0)
-        assert viewer._answers[0]["id"] == 7
         connection.close()
+        while not self.operator.cancelled:
+            await asyncio.sleep(0)
+        assert self.operator.cancelled == ["jog"]
