@@ -28,6 +28,7 @@ import numpy as np
 from tornado import httpserver, ioloop, iostream, web, websocket
 
 from hil.core.errors import OperationError
+from hil.live.address import WRONG_NAME
 from hil.live.current_run import CurrentRun
 from hil.live.history import Rows
 from hil.live.operator import DaemonOperator
@@ -200,7 +201,7 @@ class PageFile(web.StaticFileHandler):
 def refuse_foreigners(handler: web.RequestHandler) -> None:
     """Raise an error if the browser calls the server by a name that is not its own."""
     if handler.request.headers.get("Host") not in handler.application.settings["hosts"]:
-        raise web.HTTPError(403, reason="this server is not called by that name")
+        raise web.HTTPError(403, reason=WRONG_NAME)
 
 
 def has_token(handler: web.RequestHandler) -> bool:
