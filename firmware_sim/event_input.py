@@ -14,6 +14,7 @@ import socket
 from firmware_sim.arm.event_text import FORM_OF, parse_event
 from firmware_sim.faults.checks import acts_on_arm, check_faults, no_process
 from firmware_sim.faults.fault_text import FAULT_NAMES, parse_fault
+from firmware_sim.faults.fault_text import FORM_OF as FAULT_FORM_OF
 from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
 from firmware_sim.faulty_rig import FaultyRig
 from hil.core.errors import DocumentError, HilError
@@ -47,6 +48,18 @@ def parse_present_event(text: str) -> AnyFault:
     return fault
 
 
+def beginning_text(text: str) -> str:
+    """Return when the event or fault of a text begins: a predicate, such as ``waits for vertical > 0.05``.
+
+    Raises DocumentError as :func:`parse_present_event` does.
+    """
+    fault = parse_present_event(text)
+    if not fault.when:
+        return f"happens in {fault.at_s:g} s" if fault.at_s else "happens now"
+    awaited = re.sub("([<>])", r" \1 ", fault.when)
+    return f"waits for {awaited}" + (f", and begins {fault.at_s:g} s later" if fault.at_s else "")
+
+
 def check_arm_event(text: str, rig: Rig) -> None:
     """Check that an event or fault can happen to the boards of ``rig`` and the pneumatic arm.
 
@@ -76,12 +89,11 @@ def _unknown(name: str) -> str:
     """Return what is wrong with a text that has no form: its values are missing, or its name is unknown."""
     if name in FORM_OF:
         return f"its values are missing; write {FORM_OF[name]}"
-    meant = nearest(name, [*FORM_OF, *FAULT_NAMES])
-    if meant in FORM_OF:
-        return f"not an event; did you mean {meant}? Write {FORM_OF[meant]}"
-    hint = f"; did you mean {meant}? The" if meant else "; the"
+    meant = nearest(name, FAULT_FORM_OF)
+    if meant is not None:
+        return f"not an event; did you mean {meant}? Write {FAULT_FORM_OF[meant]}"
     forms = ", ".join(FORM_OF.values())
-    return f"not an event{hint} forms are: {forms}; and those of `hil run --fault`"
+    return f"not an event; the forms are: {forms}; and those of `hil run --fault`"
 
 
 class EventInput:

@@ -89,6 +89,8 @@ class FaultEffects:
         """Faults that change frames on their way."""
         self.silences: list[AnyFault] = []
         """Faults during which no frame passes."""
+        self._hangs: list[Hang] = []
+        """Faults that hang a board at present."""
         self._rig = rig
         self._boards = boards
         self._bus = bus
@@ -166,9 +168,12 @@ class FaultEffects:
                 self._bus.disturbances.append(destroyer)
             case Reset(board=name):
                 board = self._boards.adc if name == "adc" else self._boards.dac
+                self._hangs = [hang for hang in self._hangs if hang.board != name]
+                self._update_hung(name)
                 return self._to_gateway(board.start(now_ns), now_ns)
             case Hang(board=name):
-                self._set_hung(name, True)
+                self._hangs.append(fault)
+                self._update_hung(name)
             case Twin(board=name):
                 self.twins.append((fault, self._second_board(name, now_ns)))
             case FreezeSensor() | DriftSensor() | NoisySensor() | OffsetSensor():
@@ -197,7 +202,8 @@ class FaultEffects:
         self.silences = [silence for silence in self.silences if silence is not fault]
         match fault:
             case Hang(board=name):
-                self._set_hung(name, False)
+                self._hangs = [hang for hang in self._hangs if hang is not fault]
+                self._update_hung(name)
             case FreezeSensor() | DriftSensor() | NoisySensor() | OffsetSensor() | StickValve() | SlowValve():
                 self._wires.repair(fault)
             case StepClock(step_s=step_s):
@@ -238,7 +244,9 @@ class FaultEffects:
                     copied = pdo(copied.id, counts_of(copied), counter, self._rig.bus.wire_version)
                 return self._from_stranger(copied, now_ns)
 
-    def _set_hung(self, name: str, hung: bool) -> None:
+    def _update_hung(self, name: str) -> None:
+        """Let a board hang while any fault hangs it: the end of one that a reset has ended does nothing."""
+        hung = any(hang.board == name for hang in self._hangs)
         if name == "adc":
             self._boards.adc.faults = self._boards.adc.faults or AdcFaults()
             self._boards.adc.faults.hung = hung

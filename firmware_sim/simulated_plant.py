@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ from firmware_sim.arm.arm_file import read_arm, shipped_arm_text
 from firmware_sim.arm.event_text import event_text, parse_event
 from firmware_sim.arm.events import AnyEvent
 from firmware_sim.arm.wiring import Wires, wiring
-from firmware_sim.faults.checks import acts_on_arm, no_process
+from firmware_sim.faults.checks import acts_on_arm, check_is_seen, no_process
 from firmware_sim.faults.fault_text import fault_text, parse_fault
 from firmware_sim.faults.kinds import AnyFault, ArmFault, HostFault, ProcessFault
 from firmware_sim.faulty_rig import FaultyRig
@@ -131,6 +131,20 @@ def planned_faults(options: argparse.Namespace) -> list[AnyFault]:
     return [*(scenario.faults if scenario else ()), *map(parse_fault, options.fault)]
 
 
+def faults_not_begun(options: argparse.Namespace, begun: Iterable[str]) -> list[str]:
+    """Return a sentence on each fault that waits for a condition and is not in ``begun``, as texts."""
+    missing = list(begun)
+    sentences = []
+    for fault in planned_faults(options):
+        text = fault_text(fault)
+        if text in missing:
+            missing.remove(text)
+        elif fault.when:
+            late = f", or came less than {fault.at_s:g} s before the end of the run" if fault.at_s else ""
+            sentences.append(f"{text} did not begin: its condition never came{late}")
+    return sentences
+
+
 def refuse_host_faults(options: argparse.Namespace) -> None:
     """Raise DocumentError for faults of the gateway's host, which the boards in real time do not have."""
     for fault in planned_faults(options):
@@ -167,8 +181,10 @@ def _choose(rig: Rig, options: argparse.Namespace) -> _Choice:
                 f"event {event_text(event)!r} (of --event or --scenario) acts on the pneumatic arm, but "
                 f"--plant puts a linear model on {', '.join(plants)}. Omit the event or --plant"
             )
+        check_is_seen(event, rig, f"event {event_text(event)!r}")
     for fault in planned_faults(options):
         if isinstance(fault, ArmFault):
+            check_is_seen(fault.event, rig, f"fault {fault_text(fault)!r}")
             _check_arm_fault(fault, arm_wiring, plants)
     if options.arm and not arm_wiring:
         raise DocumentError(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from firmware_sim.arm.events import AnyEvent, EmergencyStop, EnableSwitch
 from firmware_sim.faults.condition import parse_condition
 from firmware_sim.faults.fault_text import fault_text
-from firmware_sim.faults.kinds import AnyFault, ProcessFault
+from firmware_sim.faults.kinds import AnyFault, ArmFault, ProcessFault
 from hil.core.errors import DocumentError
 from hil.core.rig import Rig
 
@@ -29,12 +30,32 @@ def acts_on_arm(simulated: str) -> str:
     )
 
 
+def check_is_seen(event: AnyEvent, rig: Rig, source: str) -> None:
+    """Check that the gateway of ``rig`` can see a contact that an event opens or closes.
+
+    ``source`` names the event in errors. Raises DocumentError.
+    """
+    match event:
+        case EmergencyStop():
+            section, settings = "emergency_stop", rig.emergency_stop
+        case EnableSwitch():
+            section, settings = "enable", rig.enable
+        case _:
+            return
+    if settings is None:
+        raise DocumentError(
+            f"{source}: the rig file has no [{section}], so the gateway would not see it; add it first"
+        )
+
+
 def check_faults(faults: Iterable[AnyFault], rig: Rig) -> None:
-    """Check that ``rig`` has every axis that the faults name. Raises DocumentError."""
+    """Check that ``rig`` has every axis and contact that the faults name. Raises DocumentError."""
     for fault in faults:
         axis = getattr(fault, "axis", None)
         if axis is not None and axis not in rig.axes:
             raise DocumentError(
                 f"fault {fault_text(fault)!r}: no axis {axis!r}; the rig has {', '.join(rig.axes)}"
             )
+        if isinstance(fault, ArmFault):
+            check_is_seen(fault.event, rig, f"fault {fault_text(fault)!r}")
         parse_condition(fault.when, list(rig.axes), f"fault {fault_text(fault)!r}")

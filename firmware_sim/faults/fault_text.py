@@ -15,6 +15,7 @@ from typing import Any, Final, get_args
 
 import msgspec
 
+from firmware_sim.arm.event_text import FORM_OF as EVENT_FORM_OF
 from firmware_sim.arm.event_text import event_text, parse_event
 from firmware_sim.arm.events import AnyEvent
 from firmware_sim.faults.condition import NUMBER, POSITION, RUNNING, STATES
@@ -23,25 +24,54 @@ from hil.core.documents import from_plain
 from hil.core.errors import DocumentError
 from hil.core.suggestions import did_you_mean
 
+_GROUPS: Final = {
+    "frames": (
+        "lose:FRAME[,AMOUNT]",
+        "late:FRAME,S[,AMOUNT]",
+        "repeat:FRAME[,AMOUNT]",
+        "reorder:FRAME[,AMOUNT]",
+        "corrupt:FRAME[,AMOUNT]",
+        "alter:FRAME[,AMOUNT]",
+        "miscount:FRAME,STEP[,AMOUNT]",
+        "mislabel:FRAME,FRAME[,AMOUNT]",
+        "foreign:FRAME,INTERVAL_S",
+        "flood:ID,INTERVAL_S",
+    ),
+    "bus (error-frames in simulated time with a bit rate only)": (
+        "bus-off",
+        "unplug",
+        "error-frames[:AMOUNT[,SENDER]]",
+    ),
+    "boards": ("reset:BOARD", "hang:BOARD", "babble:BOARD,INTERVAL_S", "twin:BOARD"),
+    "sensors": (
+        "freeze-sensor:AXIS",
+        "drift-sensor:AXIS,V_PER_S",
+        "noisy-sensor:AXIS,RMS_V",
+        "offset-sensor:AXIS,V",
+    ),
+    "valves": ("stick-valve:AXIS", "slow-valve:AXIS,LAG_S"),
+    "host, in simulated time only": ("stall:S", "step-clock:S"),
+    "processes, in rigs of real processes only": ("kill:PROCESS", "pause:PROCESS", "fill-disk"),
+}
+"""Forms of the faults without their time, by what they act on."""
 FORMS: Final = (
-    "frames: lose:FRAME[,AMOUNT], late:FRAME,S[,AMOUNT], repeat:FRAME[,AMOUNT], reorder:FRAME[,AMOUNT], "
-    "corrupt:FRAME[,AMOUNT], alter:FRAME[,AMOUNT], miscount:FRAME,STEP[,AMOUNT], "
-    "mislabel:FRAME,FRAME[,AMOUNT], foreign:FRAME,INTERVAL_S, flood:ID,INTERVAL_S; bus: bus-off, unplug, "
-    "error-frames[:AMOUNT[,SENDER]] (in simulated time with a bit rate only); boards: reset:BOARD, "
-    "hang:BOARD, babble:BOARD,INTERVAL_S, twin:BOARD; sensors: freeze-sensor:AXIS, "
-    "drift-sensor:AXIS,V_PER_S, noisy-sensor:AXIS,RMS_V, offset-sensor:AXIS,V; valves: stick-valve:AXIS, "
-    "slow-valve:AXIS,LAG_S; host, in simulated time only: stall:S, step-clock:S; processes, in rigs of real "
-    "processes only: kill:PROCESS, pause:PROCESS, fill-disk; and every event of the arm"
+    "; ".join(f"{group}: {', '.join(forms)}" for group, forms in _GROUPS.items())
+    + "; and every event of the arm"
 )
 """Forms of all faults without their time, for help texts and errors."""
+FORM_OF: Final = {
+    re.split(r"[:\[]", form)[0]: form for forms in _GROUPS.values() for form in forms
+} | EVENT_FORM_OF
+"""Form of each fault and of each event of the arm, without its time."""
 WHEN_FORMS: Final = (
     "@SECONDS, @STATE, @AXIS>POSITION, @AXIS<POSITION or @CONDITION+SECONDS, then optionally /DURATION_S; "
     f"STATE is {RUNNING} (a command moves a valve), {', '.join(STATES)}"
 )
 
+_CONDITION: Final = re.compile("|".join((RUNNING, *STATES, POSITION)))
 _FORM: Final = re.compile(
     rf"(?P<name>[a-z-]+)(?::(?P<values>[^@]+))?"
-    rf"@(?:(?P<at>{NUMBER})|(?P<when>{'|'.join((RUNNING, *STATES, POSITION))})(?:\+(?P<after>{NUMBER}))?)"
+    rf"@(?:(?P<at>{NUMBER})|(?P<when>{_CONDITION.pattern})(?:\+(?P<after>{NUMBER}))?)"
     rf"(?:/(?P<for>{NUMBER}))?"
 )
 _BASE_FIELDS: Final = frozenset(field.name for field in msgspec.structs.fields(Fault))
@@ -55,6 +85,7 @@ _EVENTS: Final = frozenset(str(kind.__struct_config__.tag).replace(" ", "-") for
 
 FAULT_NAMES: Final = frozenset(_KINDS)
 """Names of the faults, without the events of the arm."""
+_NAMES: Final = ", ".join(FORM_OF)
 
 
 def parse_fault(text: str, source: str | None = None) -> AnyFault:
@@ -63,29 +94,52 @@ def parse_fault(text: str, source: str | None = None) -> AnyFault:
     Raises DocumentError with the text, the value and its limit.
     """
     source = source or f"--fault {text!r}"
+    name = re.split("[:@/]", text)[0]
+    if name not in FORM_OF:
+        hint = did_you_mean(name, FORM_OF)
+        raise DocumentError(f"{source}: there is no fault {name!r}{hint or '.'} The names are: {_NAMES}")
     match = _FORM.fullmatch(text)
     if match is None:
-        raise DocumentError(
-            f"{source}: not a fault; write NAME:VALUES and its time ({WHEN_FORMS}). The forms are: {FORMS}"
-        )
+        raise DocumentError(f"{source}: {_problem(text)} Write {FORM_OF[name]} and its time, {WHEN_FORMS}")
     plain: dict[str, Any] = {"when": match["when"] or "", "at_s": float(match["at"] or match["after"] or 0)}
     if match["for"] is not None:
         plain["for_s"] = float(match["for"])
-    name = match["name"]
     if name in _EVENTS:
-        event = parse_event(f"{name}:{match['values']}@0")
+        if match["values"] is None:
+            raise DocumentError(f"{source}: its values are missing; write {FORM_OF[name]}")
+        event = parse_event(f"{name}:{match['values']}@0", source)
         return _convert({**plain, "fault": "arm", "event": msgspec.to_builtins(event)}, ArmFault, source)
-    if name not in _KINDS:
-        hint = did_you_mean(name, [*_KINDS, *_EVENTS])
-        raise DocumentError(f"{source}: there is no fault {name!r}{hint or '.'} The forms are: {FORMS}")
     kind = _KINDS[name]
     fields = [field for field in msgspec.structs.fields(kind) if field.name not in _BASE_FIELDS]
     values = match["values"].split(",") if match["values"] else []
     if not sum(field.required for field in fields) <= len(values) <= len(fields):
         keys = ", ".join(field.name for field in fields) or "no values"
-        raise DocumentError(f"{source}: {name} takes {keys}; {match['values'] or ''!r} has {len(values)}")
+        raise DocumentError(
+            f"{source}: {name} takes {keys}; {match['values'] or ''!r} has {len(values)}; "
+            f"the form is {FORM_OF[name]}"
+        )
     plain |= {field.name: _value(value) for field, value in zip(fields, values, strict=False)}
-    return _convert({**plain, "fault": kind.__struct_config__.tag}, kind, source)
+    try:
+        return _convert({**plain, "fault": kind.__struct_config__.tag}, kind, source)
+    except DocumentError as error:
+        raise DocumentError(f"{error}; the form is {FORM_OF[name]}") from None
+
+
+def _problem(text: str) -> str:
+    """Return a sentence on what is wrong with the text of a known fault that :data:`_FORM` rejects."""
+    head, at, moment = text.partition("@")
+    if not at:
+        return "its time is missing."
+    if head.endswith(":"):
+        return "its values are missing."
+    when, slash, duration = moment.partition("/")
+    if slash and re.fullmatch(NUMBER, duration) is None:
+        return f"its duration {duration!r} is not a number of seconds."
+    condition, plus, after = when.partition("+")
+    if plus and _CONDITION.fullmatch(condition):
+        return f"the time {after!r} after its condition is not a number of seconds."
+    hint = did_you_mean(condition, (RUNNING, *STATES))
+    return f"{when!r} is neither a time nor a condition{hint or '.'}"
 
 
 def fault_text(fault: AnyFault) -> str:

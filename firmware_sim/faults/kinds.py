@@ -202,13 +202,16 @@ class ErrorFrames(Fault, frozen=True, tag="error frames"):
 
 
 class Reset(Fault, frozen=True, tag="reset"):
-    """A board restarts, as after a brown-out."""
+    """A board restarts, as after a brown-out. A hang of this board ends."""
 
     board: BoardName
 
 
 class Hang(Fault, frozen=True, tag="hang"):
-    """A board's processor stops: it takes no frame, sends no frame, and keeps its outputs."""
+    """A board's processor stops: it takes no frame, sends no frame, and keeps its outputs.
+
+    A reset of the board ends it.
+    """
 
     board: BoardName
 

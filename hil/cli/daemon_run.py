@@ -14,7 +14,7 @@ from firmware_sim.simulated_plant import planned_events
 from hil import __version__
 from hil.cli.boards_reports import BoardsReports
 from hil.cli.confirmation import bus_notes
-from hil.cli.daemon_actions import daemon_actions, event_check, unseen_events
+from hil.cli.daemon_actions import daemon_actions, event_check
 from hil.cli.live_page import live_views, make_feed
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
@@ -91,7 +91,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             port = OperatorPort(
                 pipe,
                 _described(setup, bus, epoch_offset_ns),
-                daemon_actions(stop, events, unseen_events(setup.rig)),
+                daemon_actions(stop, events),
                 lambda: _written_file(recordings) or None,
                 time.monotonic_ns,
                 missing_rights(setup.rig, bus, rights),

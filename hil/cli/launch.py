@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from firmware_sim.simulated_plant import (
     build_boards,
     build_plant,
+    faults_not_begun,
     planned_events,
     planned_faults,
     refuse_host_faults,
@@ -35,7 +36,7 @@ from hil.core.errors import LinkError
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import LogEntry, Severity
-from hil.recording.recorder import FAULTS_BEGUN, Recorder, RecorderReport
+from hil.recording.recorder import FAULT_SOURCE, FAULTS_BEGUN, Recorder, RecorderReport
 from hil.shells.observers import Observers
 from hil.shells.run_plan import RunPlan
 from hil.shells.run_setup import RunSetup
@@ -117,8 +118,10 @@ def run_realtime(
             "frames not sent": str(link.send_failures),
         }
         metadata = {"rights": rights.as_metadata(), "ending": ending}
-        if reports is not None and (begun := reports.finish()):
-            metadata[FAULTS_BEGUN] = begun
+        if reports is not None:
+            if begun := reports.finish():
+                metadata[FAULTS_BEGUN] = begun
+            _note_not_begun(session, options, begun)
         if error is not None:
             metadata["error"] = {"traceback": "".join(traceback.format_exception(error))}
         return recorder.close(metadata)
@@ -163,6 +166,7 @@ def run_lockstep(
                 boards.on_begin = lambda text: session.note(fault_entry(text))
             lockstep.run(session, stop_request)
         begun = faults_by_instant(boards.begun) if isinstance(boards, FaultyRig) else {}
+        _note_not_begun(session, options, begun)
         ending = _ending(plan, gateway) | ({} if bus is None else bus.figures(lockstep.clock_ns()))
         return recorder.close({"ending": ending} | ({FAULTS_BEGUN: begun} if begun else {}))
 
@@ -198,6 +202,12 @@ def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dic
         first = setpoint.at(0.0)
         if first != 0.0:
             session.note(LogEntry(Severity.WARNING, name, _early_setpoint(first, setup.rig.axes[name].unit)))
+
+
+def _note_not_begun(session: Session, options: argparse.Namespace, begun: dict[str, str]) -> None:
+    """Log, at the end of a run, the faults whose condition was not met. ``begun`` is by instant."""
+    for sentence in faults_not_begun(options, " ".join(begun.values()).split()):
+        session.note(LogEntry(Severity.WARNING, FAULT_SOURCE, sentence))
 
 
 def _early_setpoint(first: float, unit: str) -> str:

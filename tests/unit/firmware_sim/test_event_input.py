@@ -118,10 +118,10 @@ def test_events_are_checked_with_the_rig_and_the_plant() -> None:
     [
         ("payload", "event 'payload': its values are missing; write payload:KG"),
         ("paylod:3", r"did you mean payload\? Write payload:KG"),
-        ("hnag:adc", r"did you mean hang\? The forms are: payload:KG, supply-pressure"),
+        ("hnag:adc", r"not an event; did you mean hang\? Write hang:BOARD$"),
         ("elephant:3", "not an event; the forms are: payload:KG, supply-pressure:GAUGE_KPA"),
         ("payload:heavy", "event 'payload:heavy': mass_kg is 'heavy', but must be a number"),
-        ("payload:3@soon", "event 'payload:3@soon': not a fault"),
+        ("payload:3@soon", "event 'payload:3@soon': 'soon' is neither a time nor a condition"),
         ("friction:vertical", "takes the values"),
         ("hang:third", "board is 'third'"),
         ("stall:1", "acts on the gateway's host in simulated time only"),

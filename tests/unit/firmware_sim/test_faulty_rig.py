@@ -254,3 +254,20 @@ def test_the_recording_has_the_faults_that_began(tmp_path: Path) -> None:
     assert logged == [(at_ns, f"{text} begins") for at_ns, text in rig.faults_begun]
     assert [entry.text for entry in rig.log if entry.source == FAULT_SOURCE] == [text for _, text in logged]
     assert verify(recording).complete
+
+
+def test_a_reset_ends_a_hang_and_the_end_of_that_hang_ends_no_other() -> None:
+    rig = LockstepRig()
+    rig.bring_up()
+    rig.inject_fault("hang:adc@0/0.6")
+    rig.step(20)
+    faults = rig.boards.adc.faults
+    assert faults is not None
+    assert faults.hung
+    rig.inject_fault("reset:dac@0")
+    assert faults.hung, "the reset of the other board"
+    rig.inject_fault("reset:adc@0")
+    assert not faults.hung
+    rig.inject_fault("hang:adc@0")
+    rig.run(1.0)
+    assert faults.hung, "0.6 s have passed, and the second hang has no end"

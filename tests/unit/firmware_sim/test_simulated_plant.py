@@ -24,6 +24,7 @@ from firmware_sim.plants.plant import Plant
 from firmware_sim.simulated_plant import (
     build_boards,
     build_plant,
+    faults_not_begun,
     planned_events,
     planned_faults,
     plant_texts,
@@ -379,3 +380,27 @@ def test_faults_of_the_host_are_refused_in_real_time(fault: str) -> None:
         DocumentError, match=f"fault '{fault}' acts on the gateway's host in simulated time only"
     ):
         refuse_host_faults(options("--fault", fault))
+
+
+@pytest.mark.parametrize("build", [build_plant, plant_texts])
+@pytest.mark.parametrize(
+    ("given", "section"),
+    [
+        (("--event", "emergency-stop:pressed@1"), "emergency_stop"),
+        (("--event", "enable-switch:released@1"), "enable"),
+        (("--fault", "emergency-stop:pressed@running"), "emergency_stop"),
+    ],
+)
+def test_a_contact_that_the_gateway_does_not_see_is_refused(
+    build: Callable[..., object], given: tuple[str, str], section: str
+) -> None:
+    with pytest.raises(DocumentError, match=rf"the rig file has no \[{section}\], so the gateway would not"):
+        build(SHIPPED_RIG, options(*given))
+
+
+def test_a_fault_whose_condition_was_not_met_did_not_begin() -> None:
+    given = options("--fault", "hang:adc@vertical>5", "--fault", "unplug@armed+1", "--fault", "unplug@1")
+    never, late = faults_not_begun(given, [])
+    assert never == "hang:adc@vertical>5 did not begin: its condition never came"
+    assert late.endswith("its condition never came, or came less than 1 s before the end of the run")
+    assert faults_not_begun(given, ["unplug@armed+1"]) == [never]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import pytest
 
-from firmware_sim.arm.events import Leak
-from firmware_sim.faults.fault_text import fault_text, parse_fault
+from firmware_sim.arm.events import AnyEvent, Leak
+from firmware_sim.faults.fault_text import FORM_OF, fault_text, parse_fault
 from firmware_sim.faults.kinds import (
     AnyFault,
     ArmFault,
@@ -51,19 +53,31 @@ def test_values_that_may_be_omitted_have_defaults() -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("lose:sample", "not a fault; write NAME:VALUES and its time (@SECONDS, @STATE, @AXIS>POSITION, "),
+        (
+            "lose:sample",
+            "its time is missing. Write lose:FRAME[,AMOUNT] and its time, @SECONDS, @STATE, @AXIS",
+        ),
         (
             "lose:sample@jog",
-            "STATE is running (a command moves a valve), offline, ready, armed, fault). The",
+            "'jog' is neither a time nor a condition. Write lose:FRAME[,AMOUNT] and its time",
         ),
-        ("lose:sample@never", "not a fault"),
-        ("loose:sample@1", "there is no fault 'loose'; did you mean lose? The forms are: frames: lose:"),
+        ("lose:sample,5@armd", "'armd' is neither a time nor a condition; did you mean armed? Write lose:"),
+        ("hang:adc@vertical", "STATE is running (a command moves a valve), offline, ready, armed, fault"),
+        ("hang:adc@armd+2/1", "'armd+2' is neither a time nor a condition; did you mean armed? Write hang"),
+        ("hang:adc@running+x", "the time 'x' after its condition is not a number of seconds. Write hang"),
+        ("hang:adc@1/x", "its duration 'x' is not a number of seconds. Write hang:BOARD"),
+        ("hang:@1", "its values are missing. Write hang:BOARD"),
+        ("payload@1", "its values are missing; write payload:KG"),
+        ("loose:sample@1", "there is no fault 'loose'; did you mean lose? The names are: lose, late, "),
         ("lose:samples@1", "frame is 'samples'"),
         ("lose:sample,0@1", "amount"),
-        ("lose:sample,5,6@1", "lose takes frame, amount; 'sample,5,6' has 3"),
+        (
+            "lose:sample,5,6@1",
+            "lose takes frame, amount; 'sample,5,6' has 3; the form is lose:FRAME[,AMOUNT]",
+        ),
         ("hang@1", "hang takes board; '' has 0"),
         ("bus-off:now@1", "bus-off takes no values; 'now' has 1"),
-        ("late:sample,-1@1", "delay_s"),
+        ("late:sample,-1@1", "delay_s is -1, but must be more than 0.0; the form is late:FRAME,S"),
         ("lose:sample@1/0", "for_s"),
         ("alter:sync@1", "frame is 'sync', but must be 'command' or 'sample'"),
         ("payload:500@1", "mass_kg"),
@@ -73,7 +87,22 @@ def test_an_error_names_the_text_and_the_problem(text: str, problem: str) -> Non
     with pytest.raises(DocumentError) as caught:
         parse_fault(text)
     assert problem in str(caught.value)
-    assert repr(text) in str(caught.value) or text.partition("@")[0] in str(caught.value)
+    assert repr(text) in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["lose:sample,5@armd", "lose:sample,5", "hang:adc@vertical", "hang:a@1"])
+def test_an_error_about_a_known_fault_has_the_form_of_no_other_one(text: str) -> None:
+    with pytest.raises(DocumentError) as caught:
+        parse_fault(text)
+    name = text.partition(":")[0]
+    forms = {form for form in FORM_OF.values() if form in str(caught.value)}
+    assert forms == {FORM_OF[name]}
+
+
+def test_every_fault_and_every_event_has_a_form() -> None:
+    kinds = [*get_args(AnyFault), *get_args(AnyEvent)]
+    names = {str(kind.__struct_config__.tag).replace(" ", "-") for kind in kinds if kind is not ArmFault}
+    assert set(FORM_OF) == names
 
 
 def test_a_scenario_file_lists_the_same_faults() -> None:

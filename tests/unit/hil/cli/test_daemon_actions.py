@@ -53,7 +53,7 @@ def test_an_event_goes_to_the_boards(session: Any) -> None:
         assert happen(session, EventCall(text="payload:3"), WHO).accepted
         assert theirs.recv(100) == b"payload:3"
         reply = happen(session, EventCall(text="hang:adc@vertical>0.05"), WHO)
-        assert reply == Reply(True, "event hang:adc@vertical>0.05 is armed; its time counts from now")
+        assert reply == Reply(True, "event hang:adc@vertical>0.05 waits for vertical > 0.05")
         assert theirs.recv(100) == b"hang:adc@vertical>0.05"
         theirs.close()
         assert "take no events" in happen(session, EventCall(text="payload:3"), WHO).text

@@ -65,7 +65,7 @@ def test_a_daemon_on_the_simulated_arm(tmp_path: Path) -> None:
         client.arm()
         client.start()
         assert client.event("payload:3") == "event payload:3 happens now"
-        assert client.event("payload:2@fault") == "event payload:2@fault is armed; its time counts from now"
+        assert client.event("payload:2@fault") == "event payload:2@fault waits for fault"
         client.set_setpoint("vertical", 0.02)
         client.record_new()
         later = client.status().period + 3
