@@ -125,7 +125,7 @@ def test_criteria_judge_the_step_response() -> None:
     ("change", "problem"),
     [
         (("lose:sample", "loose:sample"), "there is no fault 'loose'"),
-        (("running+0.2", "soon"), "not a fault"),
+        (("running+0.2", "soon"), "is neither a time nor a condition"),
         (('expect = "fault"', 'expect = "any"'), "max_periods is given, but expect is 'any'"),
         (("from = 440.0", "from = 470.0"), "arm.supply.gauge_kpa: from 470 is more than to 460"),
         (("draws = 2", "draws = 0"), "draws is 0"),

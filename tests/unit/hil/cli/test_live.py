@@ -56,9 +56,7 @@ def test_a_recording_that_cannot_be_read_is_refused(started: mock.Mock, tmp_path
 def test_a_range_without_a_period_is_refused_with_the_recorded_times(
     started: mock.Mock, recorded: Path
 ) -> None:
-    with pytest.raises(
-        RecordingError, match=r"between --from and --to; its periods: 0\.000 to 3\."
-    ):
+    with pytest.raises(RecordingError, match=r"between --from and --to; its periods: 0\.000 to 3\."):
         live.main([str(recorded), "--from", "5"])
     started.assert_not_called()
 
