@@ -33,8 +33,9 @@ chance.
 MIN_STEP_PART = 0.005
 """A change of the setpoint is a step only if it is at least this part of the range of setpoints.
 
-A daemon that starts on hold changes the setpoint by about one count of the converter. Nothing can be read from
-that: with 12 bits over the range, the settling band of a step below this limit is narrower than one count.
+A daemon that starts on hold changes the setpoint by about one count of the converter. Nothing can be read
+from that: with 12 bits over the range, the settling band of a step below this limit is narrower than one
+count.
 """
 RISE_FROM, RISE_TO = 0.1, 0.9
 """Parts of the step's size between which the rise time is measured."""

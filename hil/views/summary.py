@@ -14,8 +14,8 @@ from hil.core.rig import read_rig
 from hil.recording.reader import Recording
 from hil.views.axis_figures import (
     MAX_INITIAL_ERROR,
-    SETTLING_BAND,
     MIN_STEP_PART,
+    SETTLING_BAND,
     AxisFigures,
     StepResponse,
     Tracking,
