@@ -30,6 +30,13 @@ Otherwise the axis was still on its way to an earlier setpoint, as in a fast lad
 and the readings would mix two responses. It must hold for every change of the run: a single one that does is
 chance.
 """
+MIN_STEP_PART = 0.005
+"""A change of the setpoint is a step only if it is at least this part of the range of setpoints.
+
+A daemon that starts on hold changes the setpoint by about one count of the converter. Nothing can be read
+from that: with 12 bits over the range, the settling band of a step below this limit is narrower than one
+count.
+"""
 RISE_FROM, RISE_TO = 0.1, 0.9
 """Parts of the step's size between which the rise time is measured."""
 MAX_DELAY_S = 2.0
@@ -117,11 +124,12 @@ class AxisFigures:
     """Collects the figures of an axis from consecutive parts of its signals.
 
     They are about the periods from the last one before the controllers acted to the last one in which they
-    did.
+    did. ``min_step``: smallest change of the setpoint that is a step, in ``unit``.
     """
 
-    def __init__(self, unit: str) -> None:
+    def __init__(self, unit: str, min_step: float = 0.0) -> None:
         self._unit = unit
+        self._min_step = min_step
         self._before: _Rows | None = None
         """Last row before the controllers acted; None if there was none."""
         self._response: _Response | None = None
@@ -152,7 +160,7 @@ class AxisFigures:
 
     def result(self) -> StepResponse | Tracking | None:
         """Return the figures; None if the axis was not controlled."""
-        return None if self._controlled is None else self._controlled.result(self._unit)
+        return None if self._controlled is None else self._controlled.result(self._unit, self._min_step)
 
 
 class _Rows(NamedTuple):
@@ -234,10 +242,10 @@ class _Response:
         elif self._step is not None and not (begin == 0 and len(rows.time_s) > 1):
             self._step = self._step.extended(rows.between(1, None))
 
-    def result(self, unit: str) -> StepResponse | Tracking | None:
+    def result(self, unit: str, min_step: float) -> StepResponse | Tracking | None:
         if self._count < 2:
             return None
-        if self._step is None or not self._ends_with_step():
+        if self._step is None or self._step.size < min_step or not self._ends_with_step():
             rms = math.sqrt(self._square_sum / (self._count - 1))
             return Tracking(unit, rms, self._max_error, self._delay.result(), *self._valve_v)
         return self._step.result(unit, self._valve_v)
@@ -262,6 +270,11 @@ class _Step(NamedTuple):
     rise_s: tuple[float | None, float | None]
     """Instants at which the position reached the parts between which it rises."""
     steady: TailMean
+
+    @property
+    def size(self) -> float:
+        """Magnitude of the change of the setpoint."""
+        return abs(self.step_to - self.step_from)
 
     @classmethod
     def at(cls, rows: _Rows, place: int) -> Self:

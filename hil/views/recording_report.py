@@ -21,6 +21,7 @@ from hil.core.controller_file import ControllerFile, read_controller
 from hil.core.errors import HilError, RecordingError, RecordingExistsError
 from hil.core.output import Severity
 from hil.recording.reader import Recording
+from hil.recording.recorder import ARM_EVENTS, FAULTS_BEGUN
 from hil.views import report_tables
 from hil.views.histograms import histogram
 from hil.views.loop_figures import loop_figures
@@ -31,6 +32,24 @@ from hil.views.summary import sum_up
 
 MAX_LOG_ENTRIES = 300
 """Number of log entries in the table; the warnings and faults of longer logs come first."""
+_FACTS = (
+    "run",
+    "imported",
+    "rights",
+    "plant",
+    ARM_EVENTS,
+    FAULTS_BEGUN,
+    "ending",
+    "recorder",
+    "recovery",
+)
+"""Names of the metadata that the page lists."""
+_NOTES = {
+    ("ending", "missed periods"): (
+        " since the gateway began: skipped ones, and those that began too late to send SYNC"
+    )
+}
+"""What an entry of the metadata counts, by the names of metadata and entry."""
 _TEMPLATE, _STYLE_SHEET = "recording_report.html", "page_style.html"
 
 
@@ -108,13 +127,19 @@ class _Page:
         return {
             "title": recording.path.name,
             "subtitle": self._subtitle(),
-            "statements": verdict(summary, recording, promised),
+            "statements": verdict(
+                summary,
+                recording,
+                promised,
+                [(self._seconds(now_ns), entry) for now_ns, entry in self._log],
+            ),
             "cards": report_tables.cards(summary),
             "figures": figures,
             "histograms": [histogram("lateness", loop.lateness), histogram("response", loop.response)],
             "steps": report_tables.step_rows(summary),
             "tracking": report_tables.tracking_rows(summary),
             "promises": [report_tables.promise_row(promise) for promise in promised],
+            "unpromised": list(self._unpromised(controllers, {promise.axis for promise in promised})),
             "quantiles": report_tables.quantile_rows(summary),
             "counts": report_tables.count_rows(summary),
             "log": self._log_rows(),
@@ -171,6 +196,20 @@ class _Page:
                 with suppress(HilError):
                     yield name, read_controller(text, document)
 
+    def _unpromised(
+        self, controllers: dict[str, ControllerFile], promised: set[str]
+    ) -> Iterator[tuple[str, str]]:
+        """Yield each axis without a promise, and why it has none."""
+        for name in self._recording.axes:
+            if name in promised:
+                continue
+            if name in controllers:
+                yield name, "its controller file names no specifications"
+            elif f"controllers/{name}.json" in self._recording.documents:
+                yield name, "its controller file cannot be read"
+            else:
+                yield name, "its controller file is not in the recording"
+
     def _facts(self, controllers: dict[str, ControllerFile]) -> Iterator[tuple[str, str]]:
         """Yield what the run was made of: label and text."""
         recording = self._recording
@@ -178,10 +217,10 @@ class _Page:
             yield f"setpoint of {name}", setpoint
         for name, controller in controllers.items():
             yield f"controller of {name}", f"{controller.name}: {controller.description}"
-        for group in ("run", "rights", "plant", "arm events", "ending", "recorder", "recovery"):
+        for group in _FACTS:
             for key, value in recording.metadata.get(group, {}).items():
                 if value:
-                    yield f"{group}: {key}", str(value)
+                    yield f"{group}: {key}", f"{value}{_NOTES.get((group, key), '')}"
         for name, content in recording.attachments.items():
             yield f"document {name}", f"{len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
         yield "stamps of received frames", recording.metadata["recording"].get("stamp_origin", "unknown")

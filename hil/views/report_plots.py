@@ -18,6 +18,7 @@ from hil.recording.tables import FloatArray
 from hil.views.axis_figures import AxisFigures, StepResponse, Tracking
 from hil.views.loop_figures import WINDOW_S, LoopFigures, timing_windows
 from hil.views.report_series import Slots, SlotSeries
+from hil.views.summary import min_steps
 
 MIN_SPAN = {"m": 0.01, "rad": 0.1, "V": 1.0, "µs": 20.0, "1/s": 1.0}
 """Smallest range of a plot's vertical axis, by unit. A smaller one would magnify the converter's noise."""
@@ -65,12 +66,13 @@ class Plots:
     def __init__(self, recording: Recording, loop: LoopFigures) -> None:
         self._recording = recording
         self._loop = loop
+        self._min_steps = min_steps(recording)
         self._slots = Slots.over(loop.first_s, loop.last_s, max(loop.period_s, _MIN_PERIOD_S))
 
     def axis(self, name: str) -> AxisPlots:
         """Read an axis."""
         unit = self._recording.axes[name]
-        figures = AxisFigures(unit)
+        figures = AxisFigures(unit, self._min_steps.get(name, 0.0))
         slots = self._slots_of(name)
         series = {signal.column: SlotSeries(slots) for *_, signals in _AXIS_PANELS for signal in signals}
         for window in self._recording.windows(WINDOW_S):

@@ -98,7 +98,7 @@ def count_rows(summary: Summary) -> list[tuple[str, str]]:
     rows: list[tuple[str, int | None]] = [
         ("periods", summary.periods),
         ("periods before the boards were up", summary.bring_up_periods),
-        ("periods missed", summary.missed_periods),
+        ("periods skipped because the loop was late", summary.missed_periods),
         ("periods without a good sample", summary.periods_without_sample),
         ("frames received", summary.frames_received),
         ("frames sent", summary.frames_sent),

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from hil.core.output import LogEntry, Severity
 from hil.recording.reader import Recording
+from hil.recording.recorder import ARM_EVENTS, FAULT_SOURCE, FAULTS_BEGUN
 from hil.views.promises import LABELS, Outcome, Promise
 from hil.views.report_tables import limit_text, value_text
-from hil.views.summary import Summary, losses
+from hil.views.summary import StepResponse, Summary, losses
 
 SLOWED_BY_FRICTION = frozenset({LABELS["settling_s"], LABELS["rise_s"]})
 """Quantities, in words, that dry friction makes longer than those of the linear plant."""
@@ -16,10 +18,12 @@ FRICTION_HINT = (
     " The linear plant has no dry friction. In an axis that has it, it is the usual cause of a longer time; "
     "a design with a smaller limit leaves room for it."
 )
-
-
 UNKNOWN_CAUSE = "an unknown cause; the daemon, or the process of the run, was killed or crashed"
 """Ending of a recording that its recorder closed although the run did not say why it ended."""
+IMPORTED = "imported from a bus log"
+"""Ending of a recording that was imported completely."""
+MAX_LISTED = 5
+"""Number of simulated faults or events that the verdict names."""
 
 
 class Statement(NamedTuple):
@@ -29,36 +33,94 @@ class Statement(NamedTuple):
     text: str
 
 
-def verdict(summary: Summary, recording: Recording, promises: list[Promise]) -> list[Statement]:
-    """Return the statements about a run; ``promises`` are those of its controller files."""
-    return [*_endings(summary, recording), *_kept(promises)]
+def verdict(
+    summary: Summary, recording: Recording, promises: list[Promise], log: Sequence[tuple[float, LogEntry]]
+) -> list[Statement]:
+    """Return the statements about a run.
+
+    ``promises``: those of its controller files; ``log``: its log, each entry with its time in seconds.
+    """
+    faults = [(at_s, entry) for at_s, entry in log if entry.severity == Severity.FATAL]
+    return [
+        _ending(summary, recording, faults),
+        *_simulated(recording, log),
+        *_faults(summary, faults),
+        *_losses(summary),
+        *_kept(promises, summary, recording),
+    ]
 
 
-def _endings(summary: Summary, recording: Recording) -> Iterator[Statement]:
-    fault = recording.metadata.get("ending", {}).get("fault", "")
+def _ending(summary: Summary, recording: Recording, faults: list[tuple[float, LogEntry]]) -> Statement:
     if not summary.complete:
-        yield Statement("caution", "The recording was cut off. Everything here is about its contents.")
-    elif summary.ending == "completed":
-        yield Statement("well", f"The run was completed: {summary.controlled_s:.1f} s under control.")
-    elif summary.ending == "interrupted":
-        yield Statement(
-            "caution", f"The run was interrupted after {summary.controlled_s:.1f} s under control."
+        return Statement("caution", "The recording was cut off. Everything here is about its contents.")
+    if "imported" in recording.metadata:
+        if summary.ending == IMPORTED:
+            text = "The recording was imported from a bus log, which does not tell why the run ended."
+            return Statement("well", text)
+        return Statement("caution", "The import of the bus log did not finish, so the recording ends early.")
+    if summary.ending == "completed":
+        return Statement("well", f"The run was completed: {summary.controlled_s:.1f} s under control.")
+    if summary.ending == "interrupted":
+        # A daemon has no requested duration, so this is its normal end.
+        style = "well" if summary.requested_s is None else "caution"
+        text = (
+            f"The run was ended by an operator or a signal after {summary.controlled_s:.1f} s under control."
         )
-    else:
-        ending = summary.ending or UNKNOWN_CAUSE
-        yield Statement("", f"The run ended by {ending}{fault and ': '}{fault}")
+        return Statement(style, text)
+    fault = recording.metadata.get("ending", {}).get("fault", "")
+    at = f" at {faults[-1][0]:.3f} s" if faults and summary.ending == "fault" else ""
+    return Statement("", f"The run ended by {summary.ending or UNKNOWN_CAUSE}{at}{fault and ': '}{fault}")
+
+
+def _simulated(recording: Recording, log: Sequence[tuple[float, LogEntry]]) -> Iterator[Statement]:
+    """State which faults and events were simulated: what follows from them is no defect of the hardware."""
+    begun = [
+        (entry.text.removesuffix(" begins"), f" at {at_s:.3f} s")
+        for at_s, entry in log
+        if entry.source == FAULT_SOURCE
+    ] or [(text, "") for text in recording.metadata.get(FAULTS_BEGUN, {}).values()]
+    if begun:
+        yield Statement(
+            "caution",
+            f"Simulated faults began: {_listed([text + at for text, at in begun])}. They may cause what "
+            "other messages attribute to the boards, the cable or the arm.",
+        )
+    texts = {text for text, _ in begun}
+    planned = [text for text in recording.metadata.get(ARM_EVENTS, {}) if text not in texts]
+    if planned:
+        yield Statement("caution", f"Events planned in the simulation: {_listed(planned)}.")
+
+
+def _listed(texts: list[str]) -> str:
+    more = len(texts) - MAX_LISTED
+    return ", ".join(texts[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _faults(summary: Summary, faults: list[tuple[float, LogEntry]]) -> Iterator[Statement]:
+    """State the faults, unless the ending has stated the only one."""
+    if not faults or (len(faults) == 1 and summary.complete and summary.ending == "fault"):
+        return
+    at_s, first = faults[0]
+    count = "one fault" if len(faults) == 1 else f"{len(faults)} faults"
+    came = "It came" if len(faults) == 1 else "The first one came"
+    yield Statement("", f"The run had {count}. {came} at {at_s:.3f} s: {first.source}: {first.text}")
+
+
+def _losses(summary: Summary) -> Iterator[Statement]:
     lost = losses(summary)
     if lost:
         yield Statement("", f"Lost or rejected: {', '.join(lost)}.")
-    if summary.missed_periods or summary.periods_without_sample:
+    if summary.missed_periods:
+        text = f"{summary.missed_periods} periods were skipped because the loop was late."
+        yield Statement("caution", text)
+    if summary.periods_without_sample:
         yield Statement(
             "caution",
-            f"{summary.missed_periods} of {summary.periods} periods were missed, and "
-            f"{summary.periods_without_sample} had no good sample.",
+            f"{summary.periods_without_sample} of the {summary.periods} recorded periods had no good sample.",
         )
 
 
-def _kept(kept: list[Promise]) -> Iterator[Statement]:
+def _kept(kept: list[Promise], summary: Summary, recording: Recording) -> Iterator[Statement]:
     judged = [p for p in kept if p.outcome in (Outcome.MET, Outcome.MISSED)]
     missed = [p for p in judged if p.outcome is Outcome.MISSED]
     if missed:
@@ -72,7 +134,17 @@ def _kept(kept: list[Promise]) -> Iterator[Statement]:
     elif judged:
         yield Statement("well", f"All {len(judged)} specifications that this run shows are met.")
     elif kept:
-        yield Statement("caution", "The run shows none of the specifications: it has no step from rest.")
+        reasons = [
+            f"{axis}: a step does not show what they limit"
+            if isinstance(summary.axes.get(axis), StepResponse)
+            else f"{axis}: no step from rest"
+            for axis in dict.fromkeys(p.axis for p in kept)
+        ]
+        yield Statement("caution", f"The run shows none of the specifications ({'; '.join(reasons)}).")
+    elif not any(name.startswith("controllers/") for name in recording.attachments):
+        yield Statement(
+            "caution", "The recording has no controller files, so there is no verdict on specifications."
+        )
     else:
         yield Statement(
             "caution", "The controller files name no specifications, so there is no verdict on them."

@@ -9,9 +9,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from hil.core.errors import HilError
+from hil.core.rig import read_rig
 from hil.recording.reader import Recording
 from hil.views.axis_figures import (
     MAX_INITIAL_ERROR,
+    MIN_STEP_PART,
     SETTLING_BAND,
     AxisFigures,
     StepResponse,
@@ -34,6 +37,7 @@ __all__ = [
     "Tracking",
     "axis_summary",
     "losses",
+    "min_steps",
     "quantiles",
     "sum_up",
     "summarise",
@@ -115,13 +119,25 @@ class Summary:
 
 def summarise(recording: Recording) -> Summary:
     """Sum up ``recording``. Raises RecordingError when it lacks the channels of the loop."""
-    axes = {}
+    axes, smallest = {}, min_steps(recording)
     for name, unit in recording.axes.items():
-        figures = AxisFigures(unit)
+        figures = AxisFigures(unit, smallest.get(name, 0.0))
         for window in recording.windows(WINDOW_S):
             figures.add(window.axis(name))
         axes[name] = figures.result()
     return sum_up(recording, loop_figures(recording), axes)
+
+
+def min_steps(recording: Recording) -> dict[str, float]:
+    """Return the smallest change of each axis' setpoint that is a step, in the axis' unit.
+
+    Empty if the recording has no readable rig file: then every change is one.
+    """
+    try:
+        rig = read_rig(recording.documents.get("rig.toml", ""), "rig.toml")
+    except HilError:
+        return {}
+    return {name: MIN_STEP_PART * (axis.max_y - axis.min_y) for name, axis in rig.axes.items()}
 
 
 def sum_up(

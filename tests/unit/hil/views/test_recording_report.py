@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from support.recorded_runs import (
     RUN_HEADER,
     START_NS,
     TENTH_STEP,
+    Signals,
     following,
     in_memory,
     record_periods,
@@ -169,7 +171,7 @@ def test_an_axis_without_a_step_has_tracking_figures(tmp_path: Path) -> None:
     record_run(path, PERIODS, ramp)
     text = text_of(render_report(Recording(path)))
     assert re.search(r"tracking RMS error largest error delay valve vertical \S+ mm \S+ mm 112 ms", text)
-    assert "The controller files name no specifications, so there is no verdict on them." in text
+    assert "The recording has no controller files, so there is no verdict on specifications." in text
 
 
 def test_frames_are_counted_by_kind(path: Path, page: str) -> None:
@@ -184,7 +186,7 @@ def test_frames_are_counted_by_kind(path: Path, page: str) -> None:
 @pytest.mark.parametrize(
     ("reason", "words"),
     [
-        ("interrupted", "The run was interrupted after"),
+        ("interrupted", "The run was ended by an operator or a signal after 0.2 s under control."),
         ("fault", "The run ended by fault: adc: silent"),
         (
             "",
@@ -202,6 +204,107 @@ def test_the_end_of_the_run_is_stated(path: Path, tmp_path: Path, reason: str | 
     if reason is None:
         file.write_bytes(file.read_bytes()[:-10])
     assert words in text_of(render_report(Recording(file)))
+
+
+def recorded(
+    path: Path,
+    ending: dict[str, str],
+    log: Sequence[tuple[LogEntry, int]] = (),
+    metadata: dict[str, dict[str, str]] | None = None,
+    controllers: dict[str, dict[str, Any]] | None = None,
+    signals: Signals = TENTH_STEP,
+) -> str:
+    """Return the text of the report of a run whose ``log`` has the number of the period of each entry."""
+    files = {
+        f"controllers/{name}.json": ("application/json", json.dumps(content).encode())
+        for name, content in (controllers or {}).items()
+    }
+    header = msgspec.structs.replace(
+        RUN_HEADER,
+        attachments={**RUN_HEADER.attachments, **files},
+        metadata={**RUN_HEADER.metadata, **(metadata or {})},
+    )
+    with in_memory(path):
+        recorder = Recorder(path, header, lossless=True)
+    record_periods(recorder, PERIODS, signals)
+    for entry, number in log:
+        recorder.log_entry(entry, START_NS + number * PERIOD_NS)
+    recorder.close({"ending": ending})
+    return text_of(render_report(Recording(path)))
+
+
+SILENT, LATE = LogEntry(Severity.FATAL, "adc", "silent"), LogEntry(Severity.FATAL, "dac", "late")
+
+
+def test_faults_after_which_the_run_went_on_are_stated(tmp_path: Path) -> None:
+    text = recorded(tmp_path / "run.mcap", {"reason": "interrupted"}, [(SILENT, 100), (LATE, 200)])
+    assert "The run had 2 faults. The first one came at 1.120 s: adc: silent" in text
+
+
+def test_the_fault_that_ended_the_run_is_stated_once_with_its_time(tmp_path: Path) -> None:
+    text = recorded(tmp_path / "run.mcap", {"reason": "fault", "fault": "adc: silent"}, [(SILENT, 100)])
+    assert "The run ended by fault at 1.120 s: adc: silent" in text
+    assert "The run had" not in text
+
+
+def test_simulated_faults_and_planned_events_are_stated(tmp_path: Path) -> None:
+    begins = LogEntry(Severity.WARNING, "simulated fault", "lose:sample,10@2 begins")
+    planned = {"arm events": {"lose:sample,10@2": "2.0", "payload:1@3": "3.0"}}
+    text = recorded(tmp_path / "run.mcap", {"reason": "completed"}, [(begins, 100)], planned)
+    assert "Simulated faults began: lose:sample,10@2 at 1.120 s. They may cause what other" in text
+    assert "Events planned in the simulation: payload:1@3." in text
+
+
+def test_a_list_of_many_simulated_faults_is_short(tmp_path: Path) -> None:
+    log = [(LogEntry(Severity.WARNING, "simulated fault", f"f{n} begins"), n) for n in range(7)]
+    text = recorded(tmp_path / "run.mcap", {"reason": "completed"}, log)
+    assert re.search(r"f4 at 0\.045 s and 2 more\. They", text)
+
+
+@pytest.mark.parametrize(
+    ("reason", "words"),
+    [
+        ("imported from a bus log", "The recording was imported from a bus log, which does not tell why"),
+        ("the import was interrupted", "The import of the bus log did not finish"),
+    ],
+)
+def test_an_imported_log_does_not_end_a_run(tmp_path: Path, reason: str, words: str) -> None:
+    text = recorded(tmp_path / "run.mcap", {"reason": reason}, metadata={"imported": {"file": "bus.asc"}})
+    assert words in text
+    assert "The run ended by" not in text
+    assert "imported: file bus.asc" in text
+
+
+def test_each_axis_without_a_verdict_has_its_reason(tmp_path: Path) -> None:
+    plain = {**CONTROLLER, "origin": {}}
+    controllers = {"vertical": plain, "horizontal": CONTROLLER}
+    still = following(lambda t: 0.0, lambda t: 0.0)
+    text = recorded(tmp_path / "run.mcap", {"reason": "completed"}, controllers=controllers, signals=still)
+    assert "The run shows none of the specifications (horizontal: no step from rest)." in text
+    assert "vertical has no row: its controller file names no specifications." in text
+    assert "rotation has no row: its controller file is not in the recording." in text
+
+
+def test_specifications_that_no_step_shows_are_not_blamed_on_the_step(tmp_path: Path) -> None:
+    origin: Any = CONTROLLER["origin"]
+    gain = {**CONTROLLER, "origin": {"specifications": [origin["specifications"][3]]}}
+    text = recorded(tmp_path / "run.mcap", {"reason": "completed"}, controllers={"vertical": gain})
+    assert (
+        "The run shows none of the specifications (vertical: a step does not show what they limit)." in text
+    )
+
+
+def test_skipped_and_missed_periods_are_told_apart(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    with in_memory(file):
+        recorder = Recorder(file, RUN_HEADER, lossless=True)
+    record_periods(recorder, 20)
+    record_periods(recorder, 20, first=32)
+    recorder.close({"ending": {"reason": "completed", "missed periods": "30"}})
+    text = text_of(render_report(Recording(file)))
+    assert "12 periods were skipped because the loop was late." in text
+    assert "periods skipped because the loop was late 12" in text
+    assert "missed periods 30 since the gateway began: skipped ones, and those that began too late" in text
 
 
 def test_a_recording_without_a_period_has_no_report(tmp_path: Path) -> None:

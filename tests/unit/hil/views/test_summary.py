@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import pytest
 from rich.console import Console
 from support.recorded_runs import (
@@ -24,6 +25,7 @@ from support.recorded_runs import (
     record_run,
     step,
 )
+from support.shipped_rig import RIG_TEXT
 
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import Cycle
@@ -98,6 +100,19 @@ def test_the_last_step_of_a_slow_ladder_is_read(tmp_path: Path) -> None:
     assert response.step_from == pytest.approx(0.1)
     assert response.step_to == pytest.approx(0.15)
     assert response.settling_s == pytest.approx(0.1 * math.log(50), abs=2 * PERIOD_S)
+
+
+@pytest.mark.parametrize(("size", "kind"), [(0.00145, Tracking), (0.00155, StepResponse)])
+@pytest.mark.parametrize("at_s", [0.0, 1.0])
+def test_a_step_is_at_least_half_a_percent_of_the_range(
+    tmp_path: Path, at_s: float, size: float, kind: type
+) -> None:
+    """The vertical axis has a range of 0.3 m; the step at 0 s is the first setpoint under control."""
+    rig = {"rig.toml": ("application/toml", RIG_TEXT.encode())}
+    header = msgspec.structs.replace(RUN_HEADER, attachments={**RUN_HEADER.attachments, **rig})
+    path = tmp_path / "run.mcap"
+    record_run(path, 300, following(step(size, at_s), lag(size, at_s, 0.1)), header)
+    assert type(summarise(Recording(path)).axes["vertical"]) is kind
 
 
 def fast_ladder(t: float) -> float:
