@@ -39,7 +39,15 @@ from hil.recording.schemas import CDR_HEADER, Layout, MessageType, cdr_string, l
 if TYPE_CHECKING:
     from hil.recording.direct_writer import DirectWriter
 
-__all__ = ["ARM_EVENTS", "FAULTS_BEGUN", "FAULT_SOURCE", "Recorder", "RecorderReport", "RunHeader"]
+__all__ = [
+    "ARM_EVENTS",
+    "FAULTS_BEGUN",
+    "FAULT_BEGINS",
+    "FAULT_SOURCE",
+    "Recorder",
+    "RecorderReport",
+    "RunHeader",
+]
 
 ARM_EVENTS = "arm events"
 """Name of the metadata with the planned events of a simulated arm.
@@ -48,7 +56,9 @@ The keys are the events as in ``--event``, the values are their times in seconds
 """
 
 FAULT_SOURCE = "simulated fault"
-"""Source of the log entries that simulated faults cause by themselves."""
+"""Source of the log entries about simulated faults."""
+FAULT_BEGINS = " begins"
+"""End of the text of such an entry if the fault begins; before it stands the fault's own text."""
 FAULTS_BEGUN = "faults begun"
 """Name of the metadata with the faults of a simulated rig: instant to the faults that began then.
 

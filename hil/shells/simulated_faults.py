@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterable
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import Cycle, LogEntry, Severity
-from hil.recording.recorder import FAULT_SOURCE
+from hil.recording.recorder import FAULT_BEGINS, FAULT_SOURCE
 
 
 def fault_entry(text: str) -> LogEntry:
     """Return the log entry of a simulated fault that begins."""
-    return LogEntry(Severity.WARNING, FAULT_SOURCE, f"{text} begins")
+    return LogEntry(Severity.WARNING, FAULT_SOURCE, f"{text}{FAULT_BEGINS}")
 
 
 def faults_by_instant(begun: Iterable[tuple[int, str]], origin_ns: int = 0) -> dict[str, str]:

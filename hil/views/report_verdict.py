@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hil.core.output import LogEntry, Severity
 from hil.recording.reader import Recording
-from hil.recording.recorder import ARM_EVENTS, FAULT_SOURCE, FAULTS_BEGUN
+from hil.recording.recorder import ARM_EVENTS, FAULT_BEGINS, FAULT_SOURCE, FAULTS_BEGUN
 from hil.views.promises import LABELS, Outcome, Promise
 from hil.views.report_tables import limit_text, value_text
 from hil.views.summary import StepResponse, Summary, losses
@@ -75,9 +75,9 @@ def _ending(summary: Summary, recording: Recording, faults: list[tuple[float, Lo
 def _simulated(recording: Recording, log: Sequence[tuple[float, LogEntry]]) -> Iterator[Statement]:
     """State which faults and events were simulated: what follows from them is no defect of the hardware."""
     begun = [
-        (entry.text.removesuffix(" begins"), f" at {at_s:.3f} s")
+        (entry.text.removesuffix(FAULT_BEGINS), f" at {at_s:.3f} s")
         for at_s, entry in log
-        if entry.source == FAULT_SOURCE
+        if entry.source == FAULT_SOURCE and entry.text.endswith(FAULT_BEGINS)
     ] or [(text, "") for text in recording.metadata.get(FAULTS_BEGUN, {}).values()]
     if begun:
         yield Statement(

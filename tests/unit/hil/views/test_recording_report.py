@@ -255,6 +255,14 @@ def test_simulated_faults_and_planned_events_are_stated(tmp_path: Path) -> None:
     assert "Events planned in the simulation: payload:1@3." in text
 
 
+def test_a_simulated_fault_that_did_not_begin_is_not_stated_as_begun(tmp_path: Path) -> None:
+    unmet = "hang:adc@vertical>5 did not begin: its condition never came"
+    log = [(LogEntry(Severity.WARNING, "simulated fault", unmet), 200)]
+    text = recorded(tmp_path / "run.mcap", {"reason": "completed"}, log)
+    assert "Simulated faults began" not in text
+    assert unmet in text, "it is in the log"
+
+
 def test_a_list_of_many_simulated_faults_is_short(tmp_path: Path) -> None:
     log = [(LogEntry(Severity.WARNING, "simulated fault", f"f{n} begins"), n) for n in range(7)]
     text = recorded(tmp_path / "run.mcap", {"reason": "completed"}, log)
