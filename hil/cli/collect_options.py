@@ -15,7 +15,7 @@ from hil.core.excitation import KINDS, Signal, read_table
 from hil.core.experiment import MAX_PAUSE_S, Experiment, Origins, check_experiment
 from hil.core.rig import Rig
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser, add_override_option, number
+from hil.host.command_parser import CommandParser, add_controller_option, add_override_option, number
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 from hil.live.address import add_page_options
 
@@ -90,13 +90,7 @@ def parser() -> CommandParser:
         "--settle", type=number, default=4.0, metavar="S", help="seconds at rest before (default 4)"
     )
     command.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the shipped example)")
-    command.add_argument(
-        "--controller",
-        action="append",
-        default=[],
-        metavar="AXIS=FILE",
-        help="controller of an axis instead of the rig file's; may be repeated",
-    )
+    add_controller_option(command)
     where = command.add_mutually_exclusive_group()
     where.add_argument("--bus", metavar="BUS", help="bus of the boards instead of the rig file's")
     where.add_argument("--lockstep", action="store_true", help="simulated boards in simulated time")

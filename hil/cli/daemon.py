@@ -15,7 +15,7 @@ from hil.cli.run import chosen_bus, given_scenario, read_setup
 from hil.cli.run_parts import SIMULATED
 from hil.core.errors import DocumentError
 from hil.core.setpoints import HOLD
-from hil.host.command_parser import CommandParser, number
+from hil.host.command_parser import CommandParser, add_controller_option, number
 from hil.live.address import add_page_options
 from hil.shells.run_setup import RIG_NAME, calibration_setup, load_rig, unusable_setpoints
 
@@ -40,13 +40,7 @@ def parser() -> CommandParser:
     command = CommandParser(prog="hil daemon", description=DESCRIPTION, epilog=EPILOG)
     command.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the shipped example)")
     command.add_argument("--bus", metavar="BUS", help="bus of the boards instead of the rig file's")
-    command.add_argument(
-        "--controller",
-        action="append",
-        default=[],
-        metavar="AXIS=FILE",
-        help="controller of an axis instead of the rig file's; may be repeated",
-    )
+    add_controller_option(command)
     command.add_argument(
         "--setpoint",
         action="append",

@@ -23,7 +23,7 @@ from hil.cli.run_parts import SIMULATED
 from hil.core.check_names import check_overrides
 from hil.core.errors import DocumentError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, FORMS
-from hil.host.command_parser import CommandParser, add_override_option
+from hil.host.command_parser import CommandParser, add_controller_option, add_override_option
 from hil.host.text_file import read_text
 from hil.live.address import add_page_options, check_page_options
 from hil.recording.recorder import RecorderReport
@@ -67,13 +67,7 @@ def parser() -> CommandParser:
     )
     command = CommandParser(prog="hil run", description=DESCRIPTION, epilog=epilog)
     command.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the shipped example)")
-    command.add_argument(
-        "--controller",
-        action="append",
-        default=[],
-        metavar="AXIS=FILE",
-        help="controller of an axis instead of the rig file's; may be repeated",
-    )
+    add_controller_option(command)
     command.add_argument(
         "--setpoint",
         action="append",

@@ -24,6 +24,17 @@ def number(text: str) -> float:
     return value
 
 
+def add_controller_option(command: argparse.ArgumentParser) -> None:
+    """Add ``--controller AXIS=FILE``, which may be repeated."""
+    command.add_argument(
+        "--controller",
+        action="append",
+        default=[],
+        metavar="AXIS=FILE",
+        help="controller of an axis instead of the rig file's; may be repeated",
+    )
+
+
 def add_override_option(command: argparse.ArgumentParser) -> None:
     """Add ``--override``, with the names of checks before arming. :mod:`hil.core.check_names` checks them."""
     command.add_argument(
