@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 from support.recorded_runs import wait_until
 
 import hil
@@ -32,16 +31,6 @@ SMALL = {"width": 1280, "height": 720}
 VIEW = "[hilLive.charts[0].figure.x_range.start, hilLive.charts[0].figure.x_range.end]"
 """Expression for the times at the edges of the charts."""
 TALL = {"width": 1366, "height": 1600}
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    chromium = shutil.which("chromium")
-    assert chromium is not None, "install the Debian package chromium"
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture
