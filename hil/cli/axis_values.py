@@ -25,8 +25,10 @@ def _incomplete(text: str, after: list[str], prefix: str, example: str) -> str:
     name, equals, value = text.partition("=")
     if after and "=" not in after[0] and not value:
         return f"{text!r} and {after[0]!r} belong together; write {prefix}{name}={after[0]}"
+    axis, _, example_value = example.partition("=")
     if not name or (not equals and not name.isidentifier()):
-        return f"{text!r}: the axis is missing; write {prefix}{example}"
+        missing = value if equals else text
+        return f"{text!r}: the axis is missing; write {prefix}{axis}={missing or example_value}"
     if not equals:  # an axis or a name of a controller
         return f"{text!r}: the axis or the value is missing; write {prefix}{example}"
-    return f"{text!r}: the value is missing; write {prefix}{name}={example.partition('=')[2]}"
+    return f"{text!r}: the value is missing; write {prefix}{name}={example_value}"

@@ -22,7 +22,7 @@ from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import SIMULATED
 from hil.core.check_names import check_overrides
 from hil.core.errors import DocumentError, LinkError, RecordingExistsError
-from hil.core.setpoints import EXAMPLE, FORMS
+from hil.core.setpoints import EXAMPLE, EXAMPLE_POSITION, FORMS
 from hil.host.command_parser import CommandParser, add_controller_option, add_override_option
 from hil.host.text_file import read_text
 from hil.live.address import add_page_options, check_page_options
@@ -45,6 +45,7 @@ recording is incomplete, 2 if the arguments or files are wrong."""
 EPILOG = """\
 Setpoints, with sizes in the axis' unit and times in seconds since control began:
   {forms}
+  a number alone, such as {position}: this position from the beginning on
 
 Control begins without a jump of the valve. A setpoint that is not at the axis' position at time 0 is
 approached slowly, not as a step, and a warning says so. One that is further away than max_error (rig file,
@@ -62,6 +63,7 @@ def parser() -> CommandParser:
     """Return the parser of the arguments of ``hil run``."""
     epilog = EPILOG.format(
         forms="\n  ".join(FORMS.values()),
+        position=EXAMPLE_POSITION,
         shipped=", ".join(shipped_controllers()),
         linear=" or ".join(LINEAR_CONTROLLERS.values()),
     )

@@ -8,30 +8,26 @@ request. The texts alone are recorded: a replay reads the table again.
 from __future__ import annotations
 
 import hashlib
-import re
 from typing import NamedTuple
 
 from hil.core.errors import SetpointError
 from hil.core.requests import SetpointRequest
 from hil.core.rig import AxisSettings, Rig
 from hil.core.setpoints import (
-    FORMS,
-    HOLD,
     Setpoint,
     Table,
     check_speed,
     check_within,
     csv_file,
+    is_position,
     parse_setpoint,
     table_setpoint,
 )
-from hil.core.suggestions import did_you_mean
 
 MAX_TEXT = 1000
 """Longest text of a setpoint in a request, in characters."""
 MAX_TABLE_CHARACTERS = 64 * 1024
 """Largest table of a request, in characters: about 4,000 rows."""
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
 class PreparedSetpoint(NamedTuple):
@@ -92,30 +88,16 @@ def _read(request: SetpointRequest, axis: AxisSettings) -> Setpoint:
             f"{name}: {text!r}: the request has no table, and the daemon reads no files; send the text of "
             "the file with the request, as `hil setpoint` does"
         )
-    full = _in_full(name, text)
+    # The log of a recording names the form, also of a position alone.
+    full = f"step:{text}@0" if is_position(text) else text
     try:
         setpoint = parse_setpoint(full, table)
     except SetpointError as error:
         if table:
             raise
-        end = " A" if str(error).endswith("?") else "; a"
-        raise SetpointError(
-            f"{name}: {error}{end} position that stays is a number alone, such as {name}=0.05"
-        ) from None
+        raise SetpointError(f"{name}: {error}") from None
     _check(setpoint, name, axis)
     return setpoint
-
-
-def _in_full(name: str, text: str) -> str:
-    """Return the setpoint with its form: a number alone is a step. Raises SetpointError if it has no form."""
-    if _NUMBER.fullmatch(text):
-        return f"step:{text}@0"
-    if text == HOLD or ":" in text:
-        return text
-    raise SetpointError(
-        f"{name}: setpoint {text!r} is neither a number, such as 0.05, nor one of {', '.join(FORMS.values())}"
-        f"{did_you_mean(text, FORMS)}"
-    )
 
 
 def _check(setpoint: Setpoint, name: str, axis: AxisSettings) -> None:

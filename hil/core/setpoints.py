@@ -8,6 +8,7 @@
 ``sine:AMPLITUDE@TIME/PERIOD``        0, and AMPLITUDE sin(2 pi (t - TIME)/PERIOD) from TIME on
 ``csv:FILE``                          columns time_s,setpoint; straight lines between the rows
 ``hold``                              the position at which the axis was when control began
+``POSITION``                          a number alone: this position, from time 0 on
 ====================================  =================================================================
 
 Sizes are in the axis' unit. Before the first row of a CSV file the first value holds, after the last row the
@@ -38,6 +39,7 @@ FORMS = {
 }
 """How each kind of setpoint is written."""
 EXAMPLE = "step:0.1@1"
+EXAMPLE_POSITION = "0.05"
 COLUMNS = ["time_s", "setpoint"]
 """Columns of a table of setpoints, in seconds and in the axis' unit."""
 HOLD = "hold"
@@ -73,6 +75,11 @@ class Setpoint(NamedTuple):
     """Largest speed between jumps, in the axis' unit per s. The jumps of a step are intended."""
 
 
+def is_position(text: str) -> bool:
+    """Return whether a setpoint is a number alone: a position that stays."""
+    return re.fullmatch(_NUMBER, text) is not None and text.lstrip("-+")[0] not in "ni"
+
+
 def csv_file(text: str) -> str | None:
     """Return the file that a ``csv:FILE`` setpoint names; None for every other setpoint."""
     return text.removeprefix("csv:") if text.startswith("csv:") else None
@@ -88,12 +95,14 @@ def parse_setpoint(text: str, csv_text: str = "") -> Setpoint:
         return _from_csv(text, csv_text, file)
     if text == HOLD:
         return Setpoint(text, Constant(0.0), math.nan, math.nan)  # the loop puts its own position there
+    if is_position(text):
+        position = _finite(text, text)
+        return Setpoint(text, Constant(position), position, position)
     match = _FORM.fullmatch(text)
     if match is None:
         raise SetpointError(_unreadable(text))
     for number in re.findall(_NUMBER, text.partition(":")[2]):
-        if not math.isfinite(float(number)):
-            raise SetpointError(f"setpoint {text!r}: {number} is not finite")
+        _finite(number, text)
     kind = match["kind"]
     values = [float(value) for value in match["values"].split(",")]
     start = float(match["start"])
@@ -140,13 +149,27 @@ def check_within(setpoint: Setpoint, axis: str, min_y: float, max_y: float, unit
             )
 
 
+def _finite(number: str, text: str) -> float:
+    """Return the value of a number in the setpoint ``text``. Raises SetpointError if it is not finite."""
+    value = float(number)
+    if not math.isfinite(value):
+        raise SetpointError(f"setpoint {text!r}: {number} is not finite")
+    return value
+
+
 def _unreadable(text: str) -> str:
     """Return what is wrong with a text that has none of the forms, and how to write it."""
-    kind, colon, _ = text.partition(":")
+    kind, _, value = text.partition(":")
     if kind in FORMS:
-        return f"setpoint {text!r} is not written as {FORMS[kind]}; an example of a setpoint is {EXAMPLE}"
-    hint = did_you_mean(kind, FORMS) if colon else ""
-    return f"setpoint {text!r} is none of {', '.join(FORMS.values())}{hint}"
+        position = value if is_position(value) else EXAMPLE_POSITION
+        return (
+            f"setpoint {text!r} is not written as {FORMS[kind]}; an example is {EXAMPLE}; a position that "
+            f"stays is a number alone, such as {position}"
+        )
+    return (
+        f"setpoint {text!r} is neither a number, such as {EXAMPLE_POSITION}, nor one of "
+        f"{', '.join(FORMS.values())}{did_you_mean(kind, FORMS)}"
+    )
 
 
 class Constant(NamedTuple):

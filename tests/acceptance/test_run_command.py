@@ -69,6 +69,7 @@ def test_signals_end_the_run_with_centred_valves(tmp_path: Path, number: signal.
         (["--setpoint", "vertical=step:0.2@1"], ["0.2 m", "0.15 m", "axes.vertical.max_y"]),
         (["--setpoint", "vertical=jump:1"], ["jump:1", "step:SIZE@TIME"]),
         (["--setpoint", "step:0.1@1"], ["--setpoint 'step:0.1@1'", "write --setpoint vertical=step:0.1@1"]),
+        (["--setpoint", "0.07"], ["--setpoint '0.07'", "write --setpoint vertical=0.07"]),
         (["--controller", "ppid"], ["--controller 'ppid'", "write --controller vertical=ppid"]),
         (["--setpoint", "elbow=step:0.1@1"], ["elbow", "vertical, horizontal, rotation"]),
         (["--setpoint", "vertical"], ["--setpoint 'vertical'", "write --setpoint vertical=step:0.1@1"]),
@@ -78,7 +79,7 @@ def test_signals_end_the_run_with_centred_valves(tmp_path: Path, number: signal.
         ),
         (
             ["--scenario", "bad.toml"],
-            ["scenario bad.toml: setpoints.rotation: setpoint 'hop' is none of step:SIZE@TIME"],
+            ["scenario bad.toml: setpoints.rotation: setpoint 'hop' is neither a number, such as 0.05, nor one of"],
         ),
         (["--bus", "pty"], ["firmware-sim --bus pty"]),
         (["--bus", "inproc:x"], ["'inproc:x' is a bus inside one process", "slcan:DEVICE"]),
@@ -108,6 +109,17 @@ def test_wrong_arguments_are_explained(
     for word in words:
         assert word in error
     assert not list(tmp_path.rglob("*.mcap"))
+
+
+def test_a_number_alone_is_a_setpoint_that_stays(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    given = ["--record", str(path), "--setpoint", "vertical=0.05", "--no-plot"]
+    assert main(["run", "--lockstep", "--duration", "2", *given]) == 0
+    vertical = Recording(path).axis("vertical")
+    running = vertical[vertical["state"] == LifeCycleState.RUNNING]
+    assert len(running) > 100
+    assert set(running["setpoint"]) == {0.05}
+    assert verify(Recording(path)).frames_compared > 0
 
 
 def test_an_existing_recording_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,6 +58,9 @@ class TestForms:
             ("sine:0.1@1/4", 2.0, 0.1),
             ("sine:0.1@1/4", 4.0, -0.1),
             ("sine:-0.1@1/4", 2.0, -0.1),
+            ("0.05", 0.0, 0.05),
+            ("-.05", 1e6, -0.05),
+            ("+5e-2", 1.0, 0.05),
         ],
     )
     def test_values_of_each_form(self, text: str, t: float, r: float) -> None:
@@ -116,6 +119,7 @@ class TestRange:
             ("minimum-jerk:0.3@0/1", 0.0, 0.3),
             ("sine:0.1@0/1", -0.1, 0.1),
             ("sine:-0.1@0/1", -0.1, 0.1),
+            ("0.1", 0.1, 0.1),
         ],
     )
     def test_the_range_of_a_setpoint(self, text: str, min_r: float, max_r: float) -> None:
@@ -209,9 +213,19 @@ class TestSpeed:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", f"setpoint '' is none of {', '.join(FORMS.values())}"),
-        ("step", "setpoint 'step' is not written as step:SIZE@TIME; an example of a setpoint is step:0.1@1"),
-        ("step:0.1", "setpoint 'step:0.1' is not written as step:SIZE@TIME"),
+        (
+            "",
+            f"setpoint '' is neither a number, such as 0.05, nor one of {', '.join(FORMS.values())}",
+        ),
+        ("5cm", "setpoint '5cm' is neither a number, such as 0.05, nor one of step:SIZE@TIME"),
+        ("nan", "setpoint 'nan' is neither a number, such as 0.05, nor one of step:SIZE@TIME"),
+        ("1e400", "setpoint '1e400': 1e400 is not finite"),
+        ("step", "setpoint 'step' is not written as step:SIZE@TIME; an example is step:0.1@1"),
+        (
+            "step:0.1",
+            "setpoint 'step:0.1' is not written as step:SIZE@TIME; an example is step:0.1@1; a position that "
+            "stays is a number alone, such as 0.1",
+        ),
         ("step:@1", "is not written as step:SIZE@TIME"),
         ("minimum-jerk:0.1", "is not written as minimum-jerk:SIZE@TIME/DURATION"),
         ("stp:0.1@1", "hold; did you mean step?"),
@@ -220,7 +234,7 @@ class TestSpeed:
         ("ladder:0.1,1e400@0/1", "1e400 is not finite"),
         ("ramp:0.1@1/nan", "nan is not finite"),
         ("step:-inf@1", "-inf is not finite"),
-        ("jump:0.1@1", "is none of"),
+        ("jump:0.1@1", "nor one of"),
         ("step:0.1@1 ", "is not written as step:SIZE@TIME"),
         ("step:0,1@1", "setpoint 'step:0,1@1': step takes one size, not 2"),
         ("ramp:0.1,0.2@1/1", "ramp takes one size, not 2"),
