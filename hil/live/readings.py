@@ -18,6 +18,11 @@ REST_ROWS = 9
 """Number of periods, 0.1 s, for which a setpoint must be constant to be at rest."""
 MAX_MOVE_ROWS = 450
 """Longest move of a setpoint that counts as a step: 5 s."""
+MAX_REST_ROWS = 90
+"""Largest number of periods before a step that are read: 1 s."""
+MAX_STEP_ROWS = 5400
+"""Largest number of periods after a step that are read: 60 s. Later disturbances are not the step's, and a
+page that is open for long must not read ten minutes of periods each second."""
 
 
 def readings(rows: Rows, axes: Sequence[tuple[str, str]], states: Sequence[str]) -> dict[str, Any]:
@@ -34,8 +39,8 @@ def readings(rows: Rows, axes: Sequence[tuple[str, str]], states: Sequence[str])
     running[0] = len(stops) == 0
     found: dict[str, Any] = {}
     for place, (name, unit) in enumerate(axes):
-        read = _rows_to_read(rows, place)
-        summary = axis_summary(_table(read, place, running[-len(read) :], name, unit))
+        part, read = _rows_to_read(rows, place)
+        summary = axis_summary(_table(read, place, running[part], name, unit))
         if summary is not None:
             found[name] = {"kind": type(summary).__name__, **asdict(summary)}
     return found
@@ -60,17 +65,19 @@ def _last_move(setpoint: FloatArray) -> tuple[int, int, int] | None:
     return rest, begin, end
 
 
-def _rows_to_read(rows: Rows, place: int) -> Rows:
-    """Return the rows from which an axis is read, with the last move of its setpoint as a step."""
+def _rows_to_read(rows: Rows, place: int) -> tuple[slice, Rows]:
+    """Return which rows an axis is read from, and these rows with the last move of its setpoint as a step."""
     column = len(COLUMNS) + 3 * place
     move = _last_move(rows[:, column])
     if move is None:
-        begin_s = rows[-1, 0] - TRACKING_S
-        return rows[np.searchsorted(rows[:, 0], begin_s) :]
+        part = slice(int(np.searchsorted(rows[:, 0], rows[-1, 0] - TRACKING_S)), len(rows))
+        return part, rows[part]
     rest, begin, end = move
-    read = rows[rest:].copy()
-    read[begin + 1 - rest : end - rest, column] = rows[end, column]
-    return read
+    first = max(rest, begin - MAX_REST_ROWS)
+    part = slice(first, end + MAX_STEP_ROWS)
+    read = rows[part].copy()
+    read[begin + 1 - first : end - first, column] = rows[end, column]
+    return part, read
 
 
 def _table(rows: Rows, place: int, running: BoolArray, name: str, unit: str) -> AxisTable:

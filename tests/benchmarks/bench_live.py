@@ -2,13 +2,17 @@
 
     python tests/benchmarks/bench_live.py [rounds]
 
-Needs a quiet machine, for less than six minutes with 7 rounds (the default).
+Needs a quiet machine, for about eight minutes with 7 rounds (the default).
 
-A round is a pair of runs: one without the page, one with the page and three viewers. Every second round has
-them in the other order, because other work on the machine comes and goes. The viewers are one process of
-the lowest priority that receives everything and draws nothing, as viewers on other machines do. If it has
-not received every period, the benchmark fails. Of each run the same time is used, which begins when viewers
-and loop have settled.
+A round is three runs: one without the page, one with the page and three viewers, and one without the page
+beside other work. Every second round has the first two in the other order, because other work on the machine
+comes and goes. The viewers are one process of the lowest priority that receives everything and draws nothing,
+as viewers on other machines do. If it has not received every period, the benchmark fails. Of each run the
+same time is used, which begins when viewers and loop have settled.
+
+The other work is two processes that have nothing to do with the loop. They take as much processor time, as
+often and with the same priorities, as the serving process and the viewers took just before. Their ratio says
+what any such process on these processors costs; what the page costs beyond it stands beside it.
 
 The figure is the median over the rounds of the ratio of the two 99th percentiles, with smallest and
 largest. Beside it stands the ratio of the two halves of each run without the page: that is how far two 99th
@@ -26,6 +30,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import json
 import math
 import os
@@ -61,6 +66,8 @@ PERIODS_PER_S = 1.0 / 0.0112
 MAX_RATIO = 1.05
 MAX_PROCESSOR_SHARE = 0.10
 MAX_DELAY_MS = 100.0
+SERVER_NICE, VIEWERS_NICE = 5, 19
+UPDATES_PER_S = 20.0
 MAX_LOAD = 0.5
 """Load of the machine before, above which the figures are doubtful."""
 NAMES = ("lateness", "response", "sample to command")
@@ -75,6 +82,8 @@ class Measured(NamedTuple):
     """A column for each of ``NAMES``, a row for each period."""
     share: float
     """Processor time of the serving process as a part of one processor; 0 without the page."""
+    viewers_share: float = 0.0
+    """Processor time of the viewers, the same way."""
 
 
 def feed_cost_us() -> float:
@@ -136,6 +145,27 @@ def times_between(path: Path, begin_ns: int, end_ns: int) -> Times:
     return np.column_stack([(end - begin) * 1e-3 for begin, end in instants])
 
 
+def beside_other_work(path: Path, like: Measured) -> Measured:
+    """Measure a run without the page, beside other work of the size that the page had in ``like``."""
+    with contextlib.ExitStack() as stack:
+        for nice, share in ((SERVER_NICE, like.share), (VIEWERS_NICE, like.viewers_share)):
+            command = ["nice", "-n", str(nice), sys.executable, __file__, "--work", str(share)]
+            process = stack.enter_context(subprocess.Popen(command))
+            stack.callback(process.kill)
+        return without_page(path)
+
+
+def work(share: float) -> None:
+    """Take a share of one processor, as often as the page sends, until the process is killed."""
+    wait, begin_s = threading.Event(), time.monotonic()
+    document = {"values": list(range(100))}
+    for number in itertools.count(1):
+        until_s = time.process_time() + share / UPDATES_PER_S
+        while time.process_time() < until_s:
+            json.loads(json.dumps(document))
+        wait.wait(max(begin_s + number / UPDATES_PER_S - time.monotonic(), 0.0))
+
+
 def without_page(path: Path) -> Measured:
     """Measure a run without the page."""
     wait = threading.Event()
@@ -155,22 +185,23 @@ def with_receivers(path: Path) -> Measured:
     with running(path, "--live") as process:
         stream = address_of(process).replace("http://", "ws://").replace("/?", "/stream?")
         receivers = subprocess.Popen(
-            ["nice", "-n", "19", sys.executable, __file__, "--receive", stream],
+            ["nice", "-n", str(VIEWERS_NICE), sys.executable, __file__, "--receive", stream],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
-        server = serving_process(process)
+        processes = (serving_process(process), receivers.pid)
         wait.wait(SETTLE_S)
-        begin_ns, before_s = time.monotonic_ns(), processor_s(server)
+        begin_ns, before_s = time.monotonic_ns(), [processor_s(each) for each in processes]
         wait.wait(MEASURED_S)
-        end_ns, used_s = time.monotonic_ns(), processor_s(server) - before_s
+        end_ns, after_s = time.monotonic_ns(), [processor_s(each) for each in processes]
         received = json.loads(receivers.communicate()[0])
     times_us = times_between(path, begin_ns, end_ns)
     if len(received) != VIEWERS or min(received) < len(times_us):
         raise RuntimeError(
             f"the viewers received {received} periods, the run has {len(times_us)} in this time"
         )
-    return Measured(times_us, used_s / (end_ns - begin_ns) * 1e9)
+    shares = [(end - begin) / (end_ns - begin_ns) * 1e9 for begin, end in zip(before_s, after_s, strict=True)]
+    return Measured(times_us, *shares)
 
 
 def receive(stream: str) -> None:
@@ -251,15 +282,14 @@ def is_reached(what: str, value: float, limit: float, unit: str, doubt: str = ""
     return good
 
 
-def compare(pairs: Sequence[tuple[Measured, Measured]]) -> bool:
+def compare(rounds: Sequence[tuple[Measured, Measured, Measured]]) -> bool:
     """Print the comparison of the runs of each round. Return True if each target is reached."""
     good = True
-    without = np.array([p99(pair[0].times_us) for pair in pairs])
-    watched = np.array([p99(pair[1].times_us) for pair in pairs])
+    without, watched, beside = (np.array([p99(each[k].times_us) for each in rounds]) for k in range(3))
     halves = np.array(
         [
             p99(bare.times_us[len(bare.times_us) // 2 :]) / p99(bare.times_us[: len(bare.times_us) // 2])
-            for bare, _ in pairs
+            for bare, _, _ in rounds
         ]
     )
     for place, name in enumerate(NAMES):
@@ -275,6 +305,9 @@ def compare(pairs: Sequence[tuple[Measured, Measured]]) -> bool:
         )
         text = f"  ratio in pairs {spread(ratios)}, {len(ratios)} rounds"
         good &= is_reached(text, statistics.median(ratios), MAX_RATIO, "", doubt)
+        other = spread(list(beside[:, place] / without[:, place]))
+        beyond = spread(list(watched[:, place] / beside[:, place]))
+        print(f"  other work of the same size: {other}; the page beyond it: {beyond}")
     return good
 
 
@@ -289,20 +322,21 @@ def main(rounds: int) -> int:
     if load > MAX_LOAD:
         print(f"The machine is not quiet (load above {MAX_LOAD:g}): the figures are doubtful.")
     print(f"one period into the feed: {feed_cost_us():.1f} us", flush=True)
-    pairs: list[tuple[Measured, Measured]] = []
+    measured_rounds: list[tuple[Measured, Measured, Measured]] = []
     shares: dict[str, list[float]] = {}
     good = True
     with tempfile.TemporaryDirectory() as folder:
         for number in range(rounds):
-            bare, live = Path(folder) / f"bare{number}.mcap", Path(folder) / f"live{number}.mcap"
+            bare, live, other = (Path(folder) / f"{name}{number}.mcap" for name in ("bare", "live", "other"))
             if number % 2:
                 watched = with_receivers(live)
-                pair = (without_page(bare), watched)
+                without = without_page(bare)
             else:
-                pair = (without_page(bare), with_receivers(live))
-            pairs.append(pair)
-            shares.setdefault(f"{VIEWERS} viewers that draw nothing", []).append(pair[1].share)
-        good &= compare(pairs)
+                without = without_page(bare)
+                watched = with_receivers(live)
+            measured_rounds.append((without, watched, beside_other_work(other, watched)))
+            shares.setdefault(f"{VIEWERS} viewers that draw nothing", []).append(watched.share)
+        good &= compare(measured_rounds)
         with sync_playwright() as playwright:
             for count in (1, VIEWERS):
                 what = f"{count} browser{'s' if count > 1 else ''} on these processors"
@@ -332,5 +366,7 @@ def main(rounds: int) -> int:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--receive"]:
         receive(sys.argv[2])
+    elif sys.argv[1:2] == ["--work"]:
+        work(float(sys.argv[2]))
     else:
         sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else ROUNDS))

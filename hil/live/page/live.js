@@ -147,6 +147,13 @@ function watchVisibility(chart) {
   visibility.observe(chart.box);
 }
 
+// Charts with another one below them have no labels of the time axis. One below the other, each fills a small screen.
+function labelTimes() {
+  const columns = getComputedStyle(byId("charts")).gridTemplateColumns.split(" ").length, { charts } = live;
+  charts.forEach((chart, i) => chart.labelTime(columns === 1 || i + columns >= charts.length));
+}
+new ResizeObserver(labelTimes).observe(byId("charts"));
+
 const chosen = (group) => [...document.querySelectorAll(`#series input[data-group=${group}]:checked`)].map((input) => input.value);
 
 function buildCharts() {
@@ -173,6 +180,7 @@ function buildCharts() {
       live.charts.push(chart);
     });
   }
+  labelTimes();
   if (histograms) histograms.forEach((histogram) => histogram.remove());
   byId("lateness").replaceChildren();
   byId("response").replaceChildren();

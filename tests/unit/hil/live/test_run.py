@@ -117,6 +117,14 @@ def test_a_setpoint_that_never_stops_is_read_over_the_last_half_minute() -> None
     assert reading["kind"] == "Tracking" and reading["max_error"] == pytest.approx(0.01)
 
 
+def test_what_disturbs_an_axis_long_after_a_step_does_not_change_its_reading() -> None:
+    setpoint = np.concatenate([np.zeros(1000), np.full(9000, 0.1)])
+    early = readings(_rows_of(setpoint, setpoint)[:6500], [("vertical", "m")], STATES)["vertical"]
+    disturbed = setpoint.copy()
+    disturbed[7000:] += 0.05
+    assert readings(_rows_of(setpoint, disturbed), [("vertical", "m")], STATES)["vertical"] == early
+
+
 def test_a_second_move_is_read_by_itself() -> None:
     ramp = np.concatenate([np.zeros(100), np.linspace(0.0, 0.1, 20), np.full(400, 0.1)])
     both = np.concatenate([ramp, 0.1 - 0.5 * ramp])
