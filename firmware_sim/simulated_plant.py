@@ -158,7 +158,7 @@ def _too_late(at_s: float) -> str:
 
 
 def _not_begun(reasons: Iterable[tuple[str, str]], begun: Iterable[str]) -> list[str]:
-    """Return a sentence for each text with its reason, without those in ``begun``, which counts repetitions."""
+    """Return a sentence for each text that is not in ``begun``, with its reason. Repetitions count."""
     missing = list(begun)
     sentences = []
     for text, reason in reasons:

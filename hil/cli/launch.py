@@ -199,7 +199,7 @@ def _start_boards(
 
 
 def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dict[str, float]) -> None:
-    """Log what will happen to the simulated arm. Warn of events that may not happen and of early setpoints."""
+    """Log what is planned for the simulated arm. Warn of late events and of early setpoints."""
     for text, at_s in planned.items():
         if at_s < duration_s:
             entry = LogEntry(
@@ -209,7 +209,8 @@ def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dic
             entry = LogEntry(
                 Severity.WARNING,
                 EVENT_SOURCE,
-                f"{text} may not happen: the run ends about {duration_text(duration_s)} after the first sample",
+                f"{text} may not happen: the run ends about {duration_text(duration_s)} after the first "
+                "sample",
             )
         session.note(entry)
     for name, setpoint in setup.setpoints.items():

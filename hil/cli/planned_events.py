@@ -1,4 +1,4 @@
-"""Planned faults and events of simulated boards: what is awaited of them, and what has not begun at the end."""
+"""Planned faults and events of simulated boards: what is reported of them, and what never began."""
 
 from __future__ import annotations
 
