@@ -8,10 +8,7 @@ import termios
 
 from hil.core.errors import LinkError
 
-
 _NO_LINE = "no serial line; name the adapter's device, such as slcan:/dev/ttyACM0 (ls /dev/serial/by-id)"
-    "it is no serial line; name the adapter's device, such as slcan:/dev/ttyACM0 (ls /dev/serial/by-id)"
-)
 
 
 def cause_of(error: BaseException | None) -> OSError | None:
