@@ -12,6 +12,8 @@ import time
 from importlib.resources import files
 from pathlib import Path
 
+from firmware_sim.arm.event_text import event_text
+from firmware_sim.arm.events import AnyEvent
 from firmware_sim.faulty_rig import FaultyRig
 from firmware_sim.plant_options import add_plant_options
 from firmware_sim.plants.plant import Plant
@@ -55,6 +57,8 @@ def main(argv: list[str] | None = None) -> int:
             print(_description(rig, plant_text, spec), flush=True)
             if isinstance(boards, FaultyRig):
                 boards.on_begin = _print_fault
+            sound_boards = boards.boards if isinstance(boards, FaultyRig) else boards
+            sound_boards.on_event = _print_event
             _take_priority()
             simulate(boards, bus, _watch(boards, plant, options), stop.is_asked)
         except HilError as error:
@@ -82,8 +86,17 @@ def _print_fault(text: str) -> None:
 
     The time is that of candump: seconds since 1970.
     """
+    _print_begin(text, time.time())
+
+
+def _print_event(event: AnyEvent, at_ns: int) -> None:
+    """Print that a planned event has begun, as :func:`_print_fault` does. ``at_ns`` is monotonic."""
+    _print_begin(event_text(event), time.time() - (time.monotonic_ns() - at_ns) * 1e-9)
+
+
+def _print_begin(text: str, epoch_s: float) -> None:
     with contextlib.suppress(OSError):  # nobody reads any more
-        print(f"({time.time():.6f}) {text} begins", flush=True)
+        print(f"({epoch_s:.6f}) {text} begins", flush=True)
 
 
 def _take_priority() -> None:

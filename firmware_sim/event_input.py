@@ -1,8 +1,9 @@
 """The boards' end of a socket to the gateway that has started them, besides the bus.
 
 From the gateway come events and faults that are asked for while the rig is simulated, one text a message,
-and ``state NAME`` when it enters a state of its life cycle. Back go the faults that begin, as
-``NANOSECONDS TEXT`` with the instant on CLOCK_MONOTONIC. Neither side waits for the other.
+and ``state NAME`` when it enters a state of its life cycle. Back go the faults and the planned events that
+begin, as ``NANOSECONDS fault TEXT`` and ``NANOSECONDS event TEXT`` with the instant on CLOCK_MONOTONIC.
+Neither side waits for the other.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import contextlib
 import re
 import socket
 
-from firmware_sim.arm.event_text import FORM_OF, parse_event
+from firmware_sim.arm.event_text import FORM_OF, event_text, parse_event
+from firmware_sim.arm.events import AnyEvent
 from firmware_sim.faults.checks import acts_on_arm, check_faults, no_process
 from firmware_sim.faults.fault_text import FAULT_NAMES, parse_fault
 from firmware_sim.faults.fault_text import FORM_OF as FAULT_FORM_OF
@@ -25,6 +27,9 @@ MAX_TEXT_BYTES = 4096
 """Largest text of an event."""
 STATE_MESSAGE = "state "
 """Beginning of a message with the gateway's state. No event and no fault has this name."""
+FAULT_REPORT = "fault"
+EVENT_REPORT = "event"
+"""Second word of a report, before the text: what has begun."""
 
 
 def parse_present_event(text: str) -> AnyFault:
@@ -97,7 +102,8 @@ def _unknown(name: str) -> str:
 
 
 class EventInput:
-    """Gives ``rig`` what arrives on the socket ``descriptor``, and reports the faults that begin.
+    """Gives ``rig`` what arrives on the socket ``descriptor``, and reports the faults and the planned events
+    that begin.
 
     It never waits.
     """
@@ -106,7 +112,8 @@ class EventInput:
         self._rig = rig
         self._socket = socket.socket(fileno=descriptor)
         self._socket.setblocking(False)
-        rig.on_begin = self._report
+        rig.on_begin = self._report_fault
+        rig.boards.on_event = self._report_event
 
     def update(self, now_ns: int) -> None:
         """Let an event that has arrived begin at the rig's next deadline, which is now, or arm it.
@@ -122,8 +129,15 @@ class EventInput:
         except (OSError, UnicodeDecodeError, HilError):
             return
 
-    def _report(self, text: str) -> None:
-        """Report a fault that has just begun. Without a gateway there is nobody to report to."""
+    def _report_fault(self, text: str) -> None:
+        """Report a fault that has just begun."""
         at_ns, _ = self._rig.begun[-1]
-        with contextlib.suppress(OSError):
-            self._socket.send(f"{at_ns} {text}".encode())
+        self._report(at_ns, FAULT_REPORT, text)
+
+    def _report_event(self, event: AnyEvent, at_ns: int) -> None:
+        """Report a planned event that has happened."""
+        self._report(at_ns, EVENT_REPORT, event_text(event))
+
+    def _report(self, at_ns: int, kind: str, text: str) -> None:
+        with contextlib.suppress(OSError):  # without a gateway there is nobody to report to
+            self._socket.send(f"{at_ns} {kind} {text}".encode())

@@ -99,7 +99,7 @@ def planned_events(options: argparse.Namespace) -> dict[str, float]:
 
     Faults that wait for a condition are not among them.
     """
-    planned = {event_text(event): event.at_s for event in _events(_scenario(options), options)}
+    planned = {event_text(event): event.at_s for event in arm_events(options)}
     planned |= {fault_text(fault): fault.at_s for fault in planned_faults(options) if not fault.when}
     return dict(sorted(planned.items(), key=lambda item: item[1]))
 
@@ -125,6 +125,11 @@ def build_boards(
     return FaultyRig(rig, boards, faults, seed=options.seed, bus=bus, is_told_states=is_told_states)
 
 
+def arm_events(options: argparse.Namespace) -> list[AnyEvent]:
+    """Return the planned events of scenario and command line, in this order. Raises DocumentError."""
+    return _events(_scenario(options), options)
+
+
 def planned_faults(options: argparse.Namespace) -> list[AnyFault]:
     """Return the faults of scenario and command line, in this order. Raises DocumentError."""
     scenario = _scenario(options)
@@ -132,16 +137,35 @@ def planned_faults(options: argparse.Namespace) -> list[AnyFault]:
 
 
 def faults_not_begun(options: argparse.Namespace, begun: Iterable[str]) -> list[str]:
-    """Return a sentence on each fault that waits for a condition and is not in ``begun``, as texts."""
+    """Return a sentence on each planned fault that is not in ``begun``, as texts."""
+    reasons = []
+    for fault in planned_faults(options):
+        reason = _too_late(fault.at_s)
+        if fault.when:
+            late = f", or came less than {fault.at_s:g} s before the end of the run" if fault.at_s else ""
+            reason = f"its condition never came{late}"
+        reasons.append((fault_text(fault), reason))
+    return _not_begun(reasons, begun)
+
+
+def events_not_begun(options: argparse.Namespace, begun: Iterable[str]) -> list[str]:
+    """Return a sentence on each planned event that is not in ``begun``, as texts."""
+    return _not_begun([(event_text(event), _too_late(event.at_s)) for event in arm_events(options)], begun)
+
+
+def _too_late(at_s: float) -> str:
+    return f"the run ended before {at_s:g} s had passed since the first sample"
+
+
+def _not_begun(reasons: Iterable[tuple[str, str]], begun: Iterable[str]) -> list[str]:
+    """Return a sentence for each text that is not in ``begun``, with its reason. Repetitions count."""
     missing = list(begun)
     sentences = []
-    for fault in planned_faults(options):
-        text = fault_text(fault)
+    for text, reason in reasons:
         if text in missing:
             missing.remove(text)
-        elif fault.when:
-            late = f", or came less than {fault.at_s:g} s before the end of the run" if fault.at_s else ""
-            sentences.append(f"{text} did not begin: its condition never came{late}")
+        else:
+            sentences.append(f"{text} did not begin: {reason}")
     return sentences
 
 

@@ -10,7 +10,8 @@ waited for their gateway. The times of the arm's events count from there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from firmware_sim.boards.adc import AdcBoard
 from firmware_sim.boards.canopen_slave import NEVER, Frames, SlaveState
@@ -18,7 +19,7 @@ from firmware_sim.boards.codec import SYNC_ID
 from firmware_sim.boards.dac import DacBoard, Volts
 from firmware_sim.boards.input_frames import Contacts
 from firmware_sim.faults.wires import Wires
-from firmware_sim.plants.plant import EMERGENCY_STOP, ENABLE_SWITCH, HasContacts, Plant
+from firmware_sim.plants.plant import EMERGENCY_STOP, ENABLE_SWITCH, HasContacts, HasPlannedEvents, Plant
 from hil.core.frames import Frame
 from hil.core.rig import Rig
 
@@ -48,6 +49,14 @@ class SimulatedRig:
         self._held_v: Sequence[float] = self.dac.valve_v
         self.wires: Wires | None = None
         """Faulty wires between pins and plant; None for good ones."""
+        self.on_event: Callable[[Any, int], None] | None = None
+        """Function that is given each planned event of the plant, and its instant in nanoseconds.
+
+        It is called when the plant has been advanced over that instant: at most a period later while SYNC
+        arrives. None: nobody is notified.
+        """
+        if isinstance(plant, HasPlannedEvents):
+            plant.on_event = self._event_happened
         self._plant_ns = NEVER
         self._max_advance_ns = heartbeat_ns
 
@@ -93,6 +102,10 @@ class SimulatedRig:
         plant = self.plant
         opened = plant.open_contacts if isinstance(plant, HasContacts) else ()
         return Contacts(EMERGENCY_STOP not in opened, ENABLE_SWITCH not in opened)
+
+    def _event_happened(self, event: Any, before_end_ns: int) -> None:
+        if self.on_event is not None:
+            self.on_event(event, self._plant_ns - before_end_ns)
 
     def _drive(self, valve_v: Volts, now_ns: int) -> None:
         self._plant_ns = min(self._plant_ns, now_ns)

@@ -23,9 +23,10 @@ from hil.shells.journal import Journal
 from hil.shells.lockstep import Lockstep
 from hil.shells.lockstep_bus import BusLockstep
 from hil.shells.run_setup import RunSetup, load_setup
-from hil.shells.simulated_faults import StateReports, fault_entry, faults_by_instant
+from hil.shells.simulated_faults import StateReports, event_entry, fault_entry, faults_by_instant
 
 if TYPE_CHECKING:
+    from firmware_sim.arm.events import AnyEvent
     from firmware_sim.faults.kinds import AnyFault
     from firmware_sim.plants.plant import Plant
     from hil.recording.reader import Recording
@@ -101,6 +102,7 @@ class LockstepRig:
             self._lockstep = BusLockstep(faulty, 0, self.bus, faulty.host)
         self._side = _Side(setup.gateway(setup.rig.loop.period_ns), self._lockstep, faulty.gateway_entered)
         faulty.on_begin = self._note_fault
+        self.boards.on_event = self._note_event
         self._lockstep.begin(self._side)
 
     @property
@@ -120,7 +122,7 @@ class LockstepRig:
 
     @property
     def log(self) -> list[LogEntry]:
-        """All log entries of the gateway so far, and those of simulated faults that have begun."""
+        """All log entries of the gateway so far, and those of simulated faults and events that have begun."""
         return self._side.log
 
     @property
@@ -235,6 +237,12 @@ class LockstepRig:
     def _note_fault(self, text: str) -> None:
         """Log that a simulated fault begins."""
         self._side.note(fault_entry(text), self.now_ns)
+
+    def _note_event(self, event: AnyEvent, at_ns: int) -> None:
+        """Log that a planned event of the simulated arm has begun at ``at_ns``."""
+        from firmware_sim.arm.event_text import event_text
+
+        self._side.note(event_entry(event_text(event)), at_ns)
 
     def _operate(self, trigger: Trigger) -> None:
         reply = self.operate(trigger)

@@ -41,7 +41,7 @@ from firmware_sim.arm.parameters import (
 )
 from firmware_sim.arm.pins import PotentiometerOutput, ValveInput
 from firmware_sim.arm.wiring import STRAIGHT, Wires
-from firmware_sim.plants.plant import EMERGENCY_STOP, ENABLE_SWITCH
+from firmware_sim.plants.plant import EMERGENCY_STOP, ENABLE_SWITCH, OnEvent
 from hil.core.errors import SimulationError
 
 REST_V: Final = (5.0, 5.0, 5.0)
@@ -133,6 +133,10 @@ class Arm:
         self._reading: Sequence[float] | None = None
         self.open_contacts: set[str] = set()
         """Names of the contacts beside the arm that are open (``firmware_sim.plants.plant.HasContacts``)."""
+        self.on_event: OnEvent | None = None
+        """Function that is given each planned event after it has happened; None: nobody is notified."""
+        self._end_ns = -REST_NS
+        """The arm's own time at the end of the present call of :meth:`advance`."""
         self.time_ns = -REST_NS
         """The arm's own time: 0 when the arm has settled and the simulation starts."""
         self._settle()
@@ -144,7 +148,7 @@ class Arm:
 
     def schedule(self, event: AnyEvent) -> None:
         """Schedule an event for its ``at_s``. If that time has passed, the event happens at once."""
-        self._schedule(round(event.at_s * 1e9), partial(self.apply, event))
+        self._schedule(round(event.at_s * 1e9), partial(self._begin, event))
 
     def advance(self, duration_ns: int, valve_v: Sequence[float]) -> None:
         """Hold the valve voltages (V, by channel) for ``duration_ns`` from now.
@@ -156,7 +160,7 @@ class Arm:
             if volts != valve.held_v:
                 command = partial(setattr, conditions, "spool_command", valve.spool_command(volts))
                 self._schedule(self.time_ns + delay_ns, command)
-        end_ns = self.time_ns + duration_ns
+        end_ns = self._end_ns = self.time_ns + duration_ns
         agenda = self._agenda
         while True:
             while agenda and agenda[0][0] <= self.time_ns:
@@ -234,6 +238,12 @@ class Arm:
             case EnableSwitch(switch=switch):
                 self._set_contact(ENABLE_SWITCH, switch == "released")
         self._reading = None
+
+    def _begin(self, event: AnyEvent) -> None:
+        """Let a planned event happen now, and report it."""
+        self.apply(event)
+        if self.on_event is not None:
+            self.on_event(event, self._end_ns - self.time_ns)
 
     def _set_contact(self, name: str, is_open: bool) -> None:
         (self.open_contacts.add if is_open else self.open_contacts.discard)(name)

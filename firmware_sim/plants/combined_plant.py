@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence, Set
 from typing import Any
 
-from firmware_sim.plants.plant import HasContacts, HasEvents, Plant
+from firmware_sim.plants.plant import HasContacts, HasEvents, HasPlannedEvents, OnEvent, Plant
 
 
 class CombinedPlant:
@@ -23,6 +23,17 @@ class CombinedPlant:
     def open_contacts(self) -> Set[str]:
         """Names of the contacts that any part has opened."""
         return {name for part in self._parts if isinstance(part, HasContacts) for name in part.open_contacts}
+
+    @property
+    def on_event(self) -> OnEvent | None:
+        """Function that is given each planned event of any part; None: nobody is notified."""
+        return next((part.on_event for part in self._parts if isinstance(part, HasPlannedEvents)), None)
+
+    @on_event.setter
+    def on_event(self, function: OnEvent | None) -> None:
+        for part in self._parts:
+            if isinstance(part, HasPlannedEvents):
+                part.on_event = function
 
     def advance(self, duration_ns: int, valve_v: Sequence[float]) -> None:
         """Hold the valve voltages (V, by channel) for ``duration_ns``.

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
-from typing import Any, Final, Protocol, runtime_checkable
+from collections.abc import Callable, Sequence, Set
+from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
 EMERGENCY_STOP: Final = "emergency stop"
 ENABLE_SWITCH: Final = "enable switch"
 """Names of the contacts that a plant may open."""
+
+OnEvent: TypeAlias = Callable[[Any, int], None]
+"""Function that is given each planned event after it has happened.
+
+The integer is the time in nanoseconds from the event to the end of the present ``advance``.
+"""
 
 
 class Plant(Protocol):
@@ -41,3 +47,10 @@ class HasEvents(Protocol):
 
     def apply(self, event: Any) -> None:
         """Let an event of ``firmware_sim.arm.events`` happen now, whatever its ``at_s`` is."""
+
+
+@runtime_checkable
+class HasPlannedEvents(Protocol):
+    """A plant that knows in advance when events happen to it, and reports those that have happened."""
+
+    on_event: OnEvent | None

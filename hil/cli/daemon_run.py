@@ -12,10 +12,10 @@ import traceback
 
 from firmware_sim.simulated_plant import planned_events
 from hil import __version__
-from hil.cli.boards_reports import BoardsReports
 from hil.cli.confirmation import bus_notes
 from hil.cli.daemon_actions import daemon_actions, event_check
 from hil.cli.live_page import live_views, make_feed
+from hil.cli.planned_events import note_not_begun, planned_reports
 from hil.cli.record_path import create_folder_of, recording_path
 from hil.cli.run_parts import (
     SIMULATED,
@@ -99,7 +99,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             observers: list[Observer] = [port, log, WatchdogObserver(notifier)]
             if feed is not None:
                 observers.append(feed)
-            reports = None if events is None else BoardsReports(events)
+            reports = None if events is None else planned_reports(events, options)
             if reports is not None:
                 observers.append(reports)
             session = Session(
@@ -129,6 +129,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             error = run(session, link, stop, port.serve, polling)
             if reports is not None:
                 reports.finish()
+                note_not_begun(session, options, reports.faults_begun, reports.events_begun)
             if stop.signal is not None:
                 text = f"{signal.Signals(stop.signal).name} ended the daemon"
                 session.note(LogEntry(Severity.INFO, "hil", text))

@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from firmware_sim.arm.event_text import event_text
 from firmware_sim.simulated_plant import (
     build_boards,
     build_plant,
-    faults_not_begun,
     planned_events,
     planned_faults,
     refuse_host_faults,
@@ -21,6 +21,7 @@ from firmware_sim.simulated_plant import (
 from hil.cli.boards_reports import BoardsReports
 from hil.cli.confirmation import bus_notes
 from hil.cli.live_page import live_views, make_feed
+from hil.cli.planned_events import note_not_begun, planned_reports
 from hil.cli.quantities import duration_text
 from hil.cli.run_parts import (
     SIMULATED,
@@ -36,14 +37,15 @@ from hil.core.errors import LinkError
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import LogEntry, Severity
-from hil.recording.recorder import FAULT_SOURCE, FAULTS_BEGUN, Recorder, RecorderReport
+from hil.recording.recorder import EVENT_SOURCE, FAULTS_BEGUN, Recorder, RecorderReport
 from hil.shells.observers import Observers
 from hil.shells.run_plan import RunPlan
 from hil.shells.run_setup import RunSetup
 from hil.shells.session import Observer, Session
-from hil.shells.simulated_faults import StateReports, fault_entry, faults_by_instant
+from hil.shells.simulated_faults import StateReports, event_entry, fault_entry, faults_by_instant
 
 if TYPE_CHECKING:
+    from firmware_sim.arm.events import AnyEvent
     from firmware_sim.faulty_rig import FaultyRig
     from hil.shells.lockstep import Lockstep
 
@@ -121,7 +123,7 @@ def run_realtime(
         if reports is not None:
             if begun := reports.finish():
                 metadata[FAULTS_BEGUN] = begun
-            _note_not_begun(session, options, begun)
+            note_not_begun(session, options, reports.faults_begun, reports.events_begun)
         if error is not None:
             metadata["error"] = {"traceback": "".join(traceback.format_exception(error))}
         return recorder.close(metadata)
@@ -162,11 +164,21 @@ def run_lockstep(
                 gateway, plan, lockstep.send, lockstep.clock_ns, recorder, observer, max_refused
             )
             _announce(session, setup, duration_s, planned)
+            events_begun: list[tuple[int, str]] = []
+
+            def note_event(event: AnyEvent, at_ns: int) -> None:
+                events_begun.append((at_ns, event_text(event)))
+                session.note(event_entry(event_text(event)), at_ns)
+
             if isinstance(boards, FaultyRig):
                 boards.on_begin = lambda text: session.note(fault_entry(text))
+                boards.boards.on_event = note_event
+            else:
+                boards.on_event = note_event
             lockstep.run(session, stop_request)
-        begun = faults_by_instant(boards.begun) if isinstance(boards, FaultyRig) else {}
-        _note_not_begun(session, options, begun)
+        faults_begun = boards.begun if isinstance(boards, FaultyRig) else []
+        begun = faults_by_instant(faults_begun)
+        note_not_begun(session, options, faults_begun, events_begun)
         ending = _ending(plan, gateway) | ({} if bus is None else bus.figures(lockstep.clock_ns()))
         return recorder.close({"ending": ending} | ({FAULTS_BEGUN: begun} if begun else {}))
 
@@ -179,35 +191,32 @@ def _enter(boards: FaultyRig, lockstep: Lockstep, state: LifeCycleState) -> None
 def _start_boards(
     stack: contextlib.ExitStack, spec: str, options: argparse.Namespace
 ) -> BoardsReports | None:
-    """Start the simulated boards. Return what they report: the faults that begin; None if there are none."""
-    if planned_faults(options):
-        return BoardsReports(stack.enter_context(connected_boards(spec, options)))
+    """Start the simulated boards. Return what they report: faults and events that begin; None without any."""
+    if planned_faults(options) or planned_events(options):
+        return planned_reports(stack.enter_context(connected_boards(spec, options)), options)
     stack.enter_context(boards_process(spec, options))
     return None
 
 
 def _announce(session: Session, setup: RunSetup, duration_s: float, planned: dict[str, float]) -> None:
-    """Log what will happen to the simulated arm. Warn of events that do not happen and of early setpoints."""
+    """Log what is planned for the simulated arm. Warn of late events and of early setpoints."""
     for text, at_s in planned.items():
         if at_s < duration_s:
-            entry = LogEntry(Severity.INFO, "arm", f"planned: {text} (seconds from the first sample on)")
+            entry = LogEntry(
+                Severity.INFO, EVENT_SOURCE, f"planned: {text} (seconds from the first sample on)"
+            )
         else:
             entry = LogEntry(
                 Severity.WARNING,
-                "arm",
-                f"{text} does not happen: it is after the end of the run, {duration_text(duration_s)}",
+                EVENT_SOURCE,
+                f"{text} may not happen: the run ends about {duration_text(duration_s)} after the first "
+                "sample",
             )
         session.note(entry)
     for name, setpoint in setup.setpoints.items():
         first = setpoint.at(0.0)
         if first != 0.0:
             session.note(LogEntry(Severity.WARNING, name, _early_setpoint(first, setup.rig.axes[name].unit)))
-
-
-def _note_not_begun(session: Session, options: argparse.Namespace, begun: dict[str, str]) -> None:
-    """Log, at the end of a run, the faults whose condition was not met. ``begun`` is by instant."""
-    for sentence in faults_not_begun(options, " ".join(begun.values()).split()):
-        session.note(LogEntry(Severity.WARNING, FAULT_SOURCE, sentence))
 
 
 def _early_setpoint(first: float, unit: str) -> str:

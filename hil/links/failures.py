@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import errno
 import os
+import termios
 
 from hil.core.errors import LinkError
 
+_NO_LINE = "no serial line; name the adapter's device, such as slcan:/dev/ttyACM0 (ls /dev/serial/by-id)"
+
 
 def cause_of(error: BaseException | None) -> OSError | None:
-    """Return the operating system's error that caused an error of python-can; None if there is none."""
+    """Return the operating system's error that caused an error of python-can; None if there is none.
+
+    pyserial gives the error of a line that it cannot configure as the context alone.
+    """
     while error is not None:
+        if isinstance(error, termios.error):
+            return OSError(*error.args)
         if isinstance(error, OSError) and error.errno is not None:
             return error
         number = getattr(error, "error_code", None)
         if number is not None:
             return OSError(number, os.strerror(number))
-        error = error.__cause__
+        error = error.__cause__ or error.__context__
     return None
 
 
@@ -32,6 +40,8 @@ def failure(spec: str, what: str, cause: OSError | None, error: BaseException | 
         errno.ENODEV: f"the interface is gone, or is no CAN interface; {creation(target)}",
         errno.ENXIO: f"the interface is gone; {creation(target)}",
         errno.ENOENT: "is the adapter plugged in? See: ls /dev/serial/by-id",
+        errno.ENOTTY: _NO_LINE,
+        errno.EISDIR: _NO_LINE,
         errno.EACCES: "this user may not open it; sudo adduser $USER dialout, then log in again",
         errno.EBUSY: "another program uses it",
         errno.EAGAIN: "another program uses it",

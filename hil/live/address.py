@@ -17,6 +17,8 @@ from hil.core.errors import DocumentError, EnvironmentLackError
 
 LOOPBACK = "127.0.0.1"
 EVERY_ADDRESS = "0.0.0.0"
+DEFAULT_PORT = 80
+"""Port of http and ws, which an address and a browser's Host need not name."""
 TOKEN_BYTES = 24
 FOXGLOVE_PORT = 8765
 """Port at which Foxglove looks for a stream by default."""
@@ -100,7 +102,10 @@ def _listen(host: str, port: int, scheme: str, message: str) -> Address:
         raise EnvironmentLackError(message.format(f"{host}:{port}", error.strerror)) from None
     listener.setblocking(False)
     bound, port = listener.getsockname()
-    hosts = [f"{name}:{port}" for name in _names(host, bound)]
+    names = _names(host, bound)
+    hosts = [f"{name}:{port}" for name in names]
+    if port == DEFAULT_PORT:
+        hosts += names  # browsers do not send it
     return Address(listener, hosts, secrets.token_urlsafe(TOKEN_BYTES), scheme)
 
 

@@ -41,8 +41,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ARM_EVENTS",
+    "BEGINS",
+    "EVENT_SOURCE",
     "FAULTS_BEGUN",
-    "FAULT_BEGINS",
     "FAULT_SOURCE",
     "Recorder",
     "RecorderReport",
@@ -57,8 +58,10 @@ The keys are the events as in ``--event``, the values are their times in seconds
 
 FAULT_SOURCE = "simulated fault"
 """Source of the log entries about simulated faults."""
-FAULT_BEGINS = " begins"
-"""End of the text of such an entry if the fault begins; before it stands the fault's own text."""
+EVENT_SOURCE = "arm"
+"""Source of the log entries about the planned events of a simulated arm."""
+BEGINS = " begins"
+"""End of the text of an entry of both if the fault or event begins; before it stands its own text."""
 FAULTS_BEGUN = "faults begun"
 """Name of the metadata with the faults of a simulated rig: instant to the faults that began then.
 

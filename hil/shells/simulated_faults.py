@@ -1,4 +1,4 @@
-"""What a shell records of the faults of a simulated rig, and the gateway's states that it tells the rig."""
+"""What a shell records of the faults and events of a simulated rig, and the states that it tells the rig."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ from collections.abc import Callable, Iterable
 from hil.core.gateway import Gateway
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import Cycle, LogEntry, Severity
-from hil.recording.recorder import FAULT_BEGINS, FAULT_SOURCE
+from hil.recording.recorder import BEGINS, EVENT_SOURCE, FAULT_SOURCE
 
 
 def fault_entry(text: str) -> LogEntry:
     """Return the log entry of a simulated fault that begins."""
-    return LogEntry(Severity.WARNING, FAULT_SOURCE, f"{text}{FAULT_BEGINS}")
+    return LogEntry(Severity.WARNING, FAULT_SOURCE, f"{text}{BEGINS}")
+
+
+def event_entry(text: str) -> LogEntry:
+    """Return the log entry of a planned event of the simulated arm that begins."""
+    return LogEntry(Severity.INFO, EVENT_SOURCE, f"{text}{BEGINS}")
 
 
 def faults_by_instant(begun: Iterable[tuple[int, str]], origin_ns: int = 0) -> dict[str, str]:

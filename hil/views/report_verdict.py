@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hil.core.output import LogEntry, Severity
 from hil.recording.reader import Recording
-from hil.recording.recorder import ARM_EVENTS, FAULT_BEGINS, FAULT_SOURCE, FAULTS_BEGUN
+from hil.recording.recorder import ARM_EVENTS, BEGINS, EVENT_SOURCE, FAULT_SOURCE, FAULTS_BEGUN
 from hil.views.promises import LABELS, Outcome, Promise
 from hil.views.report_tables import limit_text, value_text
 from hil.views.summary import StepResponse, Summary, losses
@@ -74,21 +74,33 @@ def _ending(summary: Summary, recording: Recording, faults: list[tuple[float, Lo
 
 def _simulated(recording: Recording, log: Sequence[tuple[float, LogEntry]]) -> Iterator[Statement]:
     """State which faults and events were simulated: what follows from them is no defect of the hardware."""
-    begun = [
-        (entry.text.removesuffix(FAULT_BEGINS), f" at {at_s:.3f} s")
-        for at_s, entry in log
-        if entry.source == FAULT_SOURCE and entry.text.endswith(FAULT_BEGINS)
-    ] or [(text, "") for text in recording.metadata.get(FAULTS_BEGUN, {}).values()]
+    begun = _begun(log, FAULT_SOURCE) or [
+        (text, "") for text in recording.metadata.get(FAULTS_BEGUN, {}).values()
+    ]
     if begun:
         yield Statement(
             "caution",
             f"Simulated faults began: {_listed([text + at for text, at in begun])}. They may cause what "
             "other messages attribute to the boards, the cable or the arm.",
         )
-    texts = {text for text, _ in begun}
+    events = _begun(log, EVENT_SOURCE)
+    if events:
+        yield Statement(
+            "caution", f"Simulated events happened: {_listed([text + at for text, at in events])}."
+        )
+    texts = {text for text, _ in begun + events}
     planned = [text for text in recording.metadata.get(ARM_EVENTS, {}) if text not in texts]
     if planned:
         yield Statement("caution", f"Events planned in the simulation: {_listed(planned)}.")
+
+
+def _begun(log: Sequence[tuple[float, LogEntry]], source: str) -> list[tuple[str, str]]:
+    """Return the text and the time in words of each fault or event of ``source`` that has begun."""
+    return [
+        (entry.text.removesuffix(BEGINS), f" at {at_s:.3f} s")
+        for at_s, entry in log
+        if entry.source == source and entry.text.endswith(BEGINS)
+    ]
 
 
 def _listed(texts: list[str]) -> str:

@@ -136,6 +136,16 @@ def test_a_recording_fits_the_screen(
     context.close()
 
 
+def test_the_slider_reaches_the_end(page: Page, playing: str) -> None:
+    page.goto(playing)
+    expect(page.locator("#position-text")).to_contain_text(" of ")
+    value, end = page.evaluate(
+        "(({ slider }) => { slider.value = slider.max; return [slider.value, slider.max]; })"
+        "({ slider: document.querySelector('#position') })"
+    )
+    assert value == end
+
+
 def test_the_slider_goes_to_a_time_and_the_step_is_read(page: Page, playing: str) -> None:
     page.goto(playing)
     page.wait_for_function("hilLive.drawn > 10", timeout=60_000)
@@ -349,11 +359,15 @@ def test_a_page_operates_a_daemon(page: Page, tmp_path: Path) -> None:
         page.goto(re.sub("^page: ", "", process.stdout.readline().strip()))
         state, reply = page.locator("#state"), page.locator("#reply")
         expect(state).to_have_text("ready", timeout=60_000)
-        page.get_by_role("button", name="Start", exact=True).click()
-        expect(reply).to_contain_text("refused", timeout=30_000)
-        page.get_by_role("button", name="Arm", exact=True).click()
+        arm, start = (page.get_by_role("button", name=name, exact=True) for name in ("Arm", "Start"))
+        expect(start).to_be_disabled()
+        start.press("Enter")
+        expect(reply).to_have_text("Start needs state armed; the state is ready")
+        arm.press("Enter")
         expect(state).to_have_text("armed", timeout=30_000)
-        page.get_by_role("button", name="Start", exact=True).click()
+        expect(arm).to_be_disabled()
+        expect(arm).to_be_focused()  # the keyboard goes on from there
+        start.click()
         expect(state).to_have_text("running", timeout=30_000)
         page.get_by_label("setpoint", exact=True).fill("0.02")
         page.get_by_role("button", name="Set", exact=True).click()

@@ -157,14 +157,37 @@ def test_a_file_that_another_run_has_just_created_is_kept(
 
 def test_planned_events_are_recorded_and_one_after_the_end_is_a_warning(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    events = ["--event", "payload:1@0.2", "--event", "payload:2@1"]
+    events = ["--event", "payload:1@0.2", "--event", "payload:2@1", "--event", "payload:3@9"]
     assert main(["run", "--lockstep", *events, "--duration", "1", "--record", str(path)]) == 0
     recording = Recording(path)
     assert [event for _, event in recording.log() if event.source == "arm"] == [
         LogEntry(Severity.INFO, "arm", "planned: payload:1@0.2 (seconds from the first sample on)"),
-        LogEntry(Severity.WARNING, "arm", "payload:2@1 does not happen: it is after the end of the run, 1 s"),
+        LogEntry(
+            Severity.WARNING,
+            "arm",
+            "payload:2@1 may not happen: the run ends about 1 s after the first sample",
+        ),
+        LogEntry(
+            Severity.WARNING,
+            "arm",
+            "payload:3@9 may not happen: the run ends about 1 s after the first sample",
+        ),
+        LogEntry(Severity.INFO, "arm", "payload:1@0.2 begins"),
+        LogEntry(Severity.INFO, "arm", "payload:2@1 begins"),
+        LogEntry(
+            Severity.WARNING,
+            "arm",
+            "payload:3@9 did not begin: the run ended before 9 s had passed since the first sample",
+        ),
     ]
-    assert recording.metadata["arm events"] == {"payload:1@0.2": "0.2", "payload:2@1": "1.0"}
+    assert recording.metadata["arm events"] == {
+        "payload:1@0.2": "0.2",
+        "payload:2@1": "1.0",
+        "payload:3@9": "9.0",
+    }
+    first_ns = next(at_ns for at_ns, event in recording.log() if event.text == "payload:1@0.2 begins")
+    second_ns = next(at_ns for at_ns, event in recording.log() if event.text == "payload:2@1 begins")
+    assert second_ns - first_ns == 800_000_000
     assert verify(recording).complete
 
 

@@ -3,10 +3,28 @@
 
 Bokeh.set_log_level("error");  // an empty chart has no range yet, which BokehJS warns of
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
+const HEIGHT = 190, LABELS_HEIGHT = 22;  // pixels of a chart, and of the labels of its time axis
 const FRAME_LEFT = 58;  // pixels from the left edge of a chart to its frame
 // Okabe and Ito's colours, which colour-blind people can tell apart; a lighter blue on a dark ground.
 const COLOURS = () => (DARK.matches ? { measured: "#56b4e9", wanted: "#e69f00" } : { measured: "#0072b2", wanted: "#b35900" });
 const colourOf = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+// BokehJS measures every label of every picture, and draws its outline, which has no colour here. Each measurement is an
+// object outside of the scripts' memory, which the browser frees late. BokehJS uses the width alone.
+function makeTextCheap() {
+  const { prototype } = CanvasRenderingContext2D, { measureText } = prototype, known = new Map();
+  prototype.measureText = function (text) {
+    const key = `${this.font} ${text}`;
+    let metrics = known.get(key);
+    if (!metrics) {
+      if (known.size >= 2000) known.clear();
+      known.set(key, metrics = measureText.call(this, text));
+    }
+    return metrics;
+  };
+  prototype.strokeText = () => {};
+}
+makeTextCheap();
 
 // BokehJS asks for computed styles at every stroke and text: a third of the time of a picture. Here they never change.
 function omitStyleSheets(view) {
@@ -54,7 +72,7 @@ class Chart {
     this.box.className = "chart";
     this.box.innerHTML = `<h3></h3><div></div>`;
     const heading = this.box.firstChild;
-    heading.append(title);
+    heading.append(`${title}, ${unit}`);
     this.labels = lines.map((line) => {
       const span = document.createElement("span");
       span.className = line.dashed ? "key dashed" : "key";
@@ -67,9 +85,7 @@ class Chart {
     const y_range = new Bokeh.DataRange1d({ min_interval: floor, range_padding: 0.08, only_visible: true });
     const x_range = new Bokeh.Range1d({ start: 0, end: 30 });
     x_range.change.connect(() => { if (!this.isMoving) onMove(x_range.start, x_range.end); });
-    this.figure = makeFigure({ height: 200, x_range, y_range, tools: "xpan" });
-    this.figure.yaxis.axis_label = unit;
-    this.figure.xaxis.axis_label = "time since the start, s";
+    this.figure = makeFigure({ height: HEIGHT, x_range, y_range, tools: "xpan" });
     this.sources = lines.map((line) => {
       const source = new Bokeh.ColumnDataSource({ data: { t: [], v: [] } });
       this.figure.line({ field: "t" }, { field: "v" }, {
@@ -84,6 +100,13 @@ class Chart {
     show_in(this, this.box.lastChild);
   }
   remove() { discard(this); }
+  // Show or hide the labels of the time axis. Charts above each other need them once.
+  labelTime(isLabelled) {
+    const [axis] = this.figure.below;
+    if (axis.visible === isLabelled) return;
+    axis.visible = isLabelled;
+    this.figure.height = isLabelled ? HEIGHT : HEIGHT - LABELS_HEIGHT;
+  }
   // Show the times from `start` to `end`.
   move(start, end) {
     this.isMoving = true;

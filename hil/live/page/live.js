@@ -147,6 +147,13 @@ function watchVisibility(chart) {
   visibility.observe(chart.box);
 }
 
+// Charts with another one below them have no labels of the time axis. One below the other, each fills a small screen.
+function labelTimes() {
+  const columns = getComputedStyle(byId("charts")).gridTemplateColumns.split(" ").length, { charts } = live;
+  charts.forEach((chart, i) => chart.labelTime(columns === 1 || i + columns >= charts.length));
+}
+new ResizeObserver(labelTimes).observe(byId("charts"));
+
 const chosen = (group) => [...document.querySelectorAll(`#series input[data-group=${group}]:checked`)].map((input) => input.value);
 
 function buildCharts() {
@@ -173,6 +180,7 @@ function buildCharts() {
       live.charts.push(chart);
     });
   }
+  labelTimes();
   if (histograms) histograms.forEach((histogram) => histogram.remove());
   byId("lateness").replaceChildren();
   byId("response").replaceChildren();
@@ -263,6 +271,7 @@ function setState(text, kind = text) {
   if (box.textContent === text) return;
   box.textContent = text;
   box.className = `state ${kind}`;
+  showAllowed(text);
   document.title = `${text} · hil live`;
 }
 
@@ -359,6 +368,28 @@ function setPosition(position_s) {
 
 // Operator
 
+// State of the life cycle in which the daemon takes a request. A button says this at once, and the daemon checks it.
+const STATE_OF = { arm: "ready", start: "armed", disarm: "armed", reset: "fault" };
+let requests = new Map();  // buttons by the name of their request
+function addRequest(bar, name) {
+  const button = document.createElement("button");
+  button.textContent = name[0].toUpperCase() + name.slice(1);
+  // A disabled button would lose the keyboard's focus as soon as its request has changed the state.
+  button.addEventListener("click", () => {
+    if (button.ariaDisabled === "true") showReply({ accepted: false, text: button.title });
+    else send({ request: name });
+  });
+  bar.append(button);
+  return button;
+}
+function showAllowed(state) {
+  for (const [name, button] of requests) {
+    const isAllowed = !live.run.states.includes(state) || STATE_OF[name] === state;  // without data the daemon decides
+    button.ariaDisabled = String(!isAllowed);
+    button.title = isAllowed ? "" : `${button.textContent} needs state ${STATE_OF[name]}; the state is ${state}`;
+  }
+}
+
 let jog = null;  // of the button that is held
 function buildOperator() {
   if (jog) jog.release();
@@ -368,13 +399,14 @@ function buildOperator() {
   if (!mayOperate) return;
   const button = (text, request) => { const b = document.createElement("button"); b.textContent = text; b.addEventListener("click", () => send(request())); bar.append(b); return b; };
   const field = (label, attributes) => { const l = document.createElement("label"), i = document.createElement("input"); Object.assign(i, attributes); l.append(label, i); bar.append(l); return i; };
-  for (const name of ["arm", "start", "disarm", "reset"]) button(name[0].toUpperCase() + name.slice(1), () => ({ request: name }));
+  requests = new Map(Object.keys(STATE_OF).map((name) => [name, addRequest(bar, name)]));
   const axis = document.createElement("select");
   axis.setAttribute("aria-label", "axis");
   live.run.axes.forEach(([name]) => axis.append(new Option(name)));
   bar.append(axis);
   const setpoint = field("setpoint", { type: "text", size: 12 });
   button("Set", () => ({ request: "setpoint", axis: axis.value, setpoint: setpoint.value }));
+  showAllowed(byId("state").textContent);
   const volts = field("jog, V", { type: "number", step: 0.1, value: 0.5, style: "width: 6em" });
   const held = document.createElement("button");
   held.textContent = "Hold to jog";

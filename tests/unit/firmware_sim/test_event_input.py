@@ -8,6 +8,7 @@ import pytest
 
 from firmware_sim import Arm, FaultyRig, SimulatedRig, read_arm, wiring
 from firmware_sim.arm.arm_file import shipped_arm_text
+from firmware_sim.arm.event_text import parse_event
 from firmware_sim.event_input import EventInput, check_arm_event, check_model_event, parse_present_event
 from hil.core.errors import DocumentError
 from hil.core.frames import Frame
@@ -83,11 +84,29 @@ def test_a_fault_that_begins_is_reported_with_its_instant(rig: FaultyRig) -> Non
     with pytest.raises(BlockingIOError):
         ours.recv(1000)
     rig.on_deadline(500_000_020)
-    assert [ours.recv(1000), ours.recv(1000)] == [b"10 unplug@0/0.5", b"500000020 hang:adc@0.5"]
+    assert [ours.recv(1000), ours.recv(1000)] == [b"10 fault unplug@0/0.5", b"500000020 fault hang:adc@0.5"]
     ours.close()
     rig.plan("hang:dac@0", 600_000_000)
     rig.on_deadline(600_000_000)
     assert rig.begun[-1] == (600_000_000, "hang:dac@0"), "also without a gateway to report to"
+
+
+def test_a_planned_event_that_begins_is_reported_with_its_instant() -> None:
+    settings = load_rig(None)
+    parameters = read_arm(shipped_arm_text(), "arm.toml")
+    arm = Arm(parameters, seed=0, wiring=wiring(settings), events=[parse_event("payload:3@0.005")])
+    rig = FaultyRig(settings, SimulatedRig(settings, arm))
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.setblocking(False)
+    EventInput(rig, theirs.detach())
+    rig.start(0)
+    rig.receive(Frame(0x000, bytes((1, 0))), 1_000_000)
+    rig.receive(Frame(0x080, bytes((1,))), 7_000_000)
+    with pytest.raises(BlockingIOError):
+        ours.recv(1000)
+    rig.receive(Frame(0x080, bytes((2,))), 18_200_000)
+    assert ours.recv(1000) == b"12000000 event payload:3@0.005"
+    assert rig.begun == [], "an event is no fault"
 
 
 def test_a_fault_can_wait_for_a_state_of_the_gateway(rig: FaultyRig) -> None:

@@ -400,7 +400,8 @@ def test_a_contact_that_the_gateway_does_not_see_is_refused(
 
 def test_a_fault_whose_condition_was_not_met_did_not_begin() -> None:
     given = options("--fault", "hang:adc@vertical>5", "--fault", "unplug@armed+1", "--fault", "unplug@1")
-    never, late = faults_not_begun(given, [])
+    never, late, after_end = faults_not_begun(given, [])
+    assert after_end == ("unplug@1 did not begin: the run ended before 1 s had passed since the first sample")
     assert never == "hang:adc@vertical>5 did not begin: its condition never came"
     assert late.endswith("its condition never came, or came less than 1 s before the end of the run")
-    assert faults_not_begun(given, ["unplug@armed+1"]) == [never]
+    assert faults_not_begun(given, ["unplug@armed+1"]) == [never, after_end]

@@ -49,9 +49,10 @@ def test_the_message_about_a_missing_serial_device_says_where_to_look() -> None:
     )
 
 
-def test_a_device_that_is_no_serial_line_is_a_link_error() -> None:
-    with pytest.raises(LinkError, match=r"^slcan:/dev/null: cannot be opened: "):
-        open_link("slcan:/dev/null")
+@pytest.mark.parametrize("path", ["/dev/null", "/etc"])
+def test_a_device_that_is_no_serial_line_is_a_link_error(path: str) -> None:
+    with pytest.raises(LinkError, match=f"^slcan:{path}: cannot be opened: .*; no serial line; name the"):
+        open_link(f"slcan:{path}")
 
 
 def test_python_can_is_imported_when_the_first_link_is_opened() -> None:

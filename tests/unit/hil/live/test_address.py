@@ -39,6 +39,16 @@ def test_a_server_on_one_address_answers_to_no_other(monkeypatch: pytest.MonkeyP
     assert names("127.0.0.2") == ["127.0.0.2"]
 
 
+def test_the_port_that_browsers_do_not_send_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_address() as other:
+        port = other.listener.getsockname()[1]
+        assert LOOPBACK not in other.hosts
+    monkeypatch.setattr(address, "DEFAULT_PORT", port)
+    with open_address(LOOPBACK, port) as page:
+        assert {LOOPBACK, f"{LOOPBACK}:{port}"} <= set(page.hosts)
+        assert page.url.startswith(f"http://{LOOPBACK}:{port}/")
+
+
 def test_the_addresses_of_the_machine_are_those_of_its_interfaces() -> None:
     found = machine_addresses()
     assert LOOPBACK in found

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from support.shipped_rig import SHIPPED_RIG
 
+from hil.core.life_cycle import LifeCycleState
 from hil.recording import schemas
 from hil.recording.schemas import layout_of
 
@@ -54,7 +55,22 @@ def test_every_path_of_foxglove_exists(foxglove: dict[str, Any]) -> None:
     ]
     assert {topic for topic, _ in named} == set(FIELDS)
     assert [(topic, field) for topic, field in named if field not in FIELDS[topic]] == []
+    assert foxglove["configById"]["Indicator!state"]["path"] == f"{schemas.CYCLE_TOPIC}.state"
     assert foxglove["configById"]["RosOut!log"]["topicToRender"] == schemas.LOG_TOPIC
+
+
+def test_foxglove_names_every_panel_but_the_log(foxglove: dict[str, Any]) -> None:
+    # Foxglove ignores a key ``title``; without this one, all plots have the same heading.
+    panels = {name: panel.get("foxglovePanelTitle") for name, panel in foxglove["configById"].items()}
+    assert panels.pop("RosOut!log") is None
+    assert None not in panels.values() and len(set(panels.values())) == len(panels)
+
+
+def test_foxglove_names_every_state_of_the_life_cycle(foxglove: dict[str, Any]) -> None:
+    rules = foxglove["configById"]["Indicator!state"]["rules"]
+    assert {rule["rawValue"]: rule["label"] for rule in rules} == {
+        str(state.value): state.name.lower() for state in LifeCycleState
+    }
 
 
 def test_every_curve_of_plotjuggler_exists(plotjuggler: ElementTree.Element) -> None:
