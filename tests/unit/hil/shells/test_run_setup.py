@@ -168,14 +168,15 @@ class TestRefusals:
 
     def test_an_error_says_where_a_setpoint_or_controller_is_written(self, tmp_path: Path) -> None:
         rig = rig_file(tmp_path, {"axes.vertical.setpoint": '"hop:1"'})
-        assert refusal(rig, {}, {}).startswith(f"{rig}: axes.vertical.setpoint: setpoint 'hop:1' is none of")
+        said = refusal(rig, {}, {})
+        assert said.startswith(f"{rig}: axes.vertical.setpoint: setpoint 'hop:1' is neither a number")
         assert refusal(rig, {}, {"vertical": "hop"}).startswith("--setpoint vertical: setpoint 'hop' is none")
         assert refusal(None, {"rotation": "k"}, {}).startswith(
             "--controller rotation: controller 'k': there is no file"
         )
         origins = {"setpoints.vertical": "scenario s.toml: setpoints.vertical"}
         assert refusal(None, {}, {"vertical": "hop"}, None, origins).startswith(
-            "scenario s.toml: setpoints.vertical: setpoint 'hop' is none of"
+            "scenario s.toml: setpoints.vertical: setpoint 'hop' is neither a number"
         )
 
     def test_a_csv_beyond_the_axis(self, tmp_path: Path) -> None:
