@@ -170,7 +170,9 @@ class TestRefusals:
         rig = rig_file(tmp_path, {"axes.vertical.setpoint": '"hop:1"'})
         said = refusal(rig, {}, {})
         assert said.startswith(f"{rig}: axes.vertical.setpoint: setpoint 'hop:1' is neither a number")
-        assert refusal(rig, {}, {"vertical": "hop"}).startswith("--setpoint vertical: setpoint 'hop' is neither")
+        assert refusal(rig, {}, {"vertical": "hop"}).startswith(
+            "--setpoint vertical: setpoint 'hop' is neither"
+        )
         assert refusal(None, {"rotation": "k"}, {}).startswith(
             "--controller rotation: controller 'k': there is no file"
         )
