@@ -10,7 +10,7 @@ SOURCES_OF_INSTALL := pyproject.toml requirements.lock $(wildcard firmware_sim/a
 export OPENBLAS_NUM_THREADS = 1
 
 .SILENT:
-.PHONY: run test test-examples fuzz mutants soak bench lock clean run-packages test-packages
+.PHONY: run test coverage test-examples fuzz mutants soak bench lock clean run-packages test-packages
 
 run: .venv/for-run
 	$(BIN)/hil run
@@ -19,7 +19,7 @@ test: .venv/for-test test-packages tests/node/node_modules
 	$(BIN)/ruff check --quiet $(PYTHON_CODE)
 	$(BIN)/ruff format --check --quiet $(PYTHON_CODE)
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -q -n 2 --cov --cov-report=term:skip-covered tests/unit
+	$(BIN)/python -m pytest -q -n 2 tests/unit
 	$(BIN)/python -m pytest -q -n 2 tests/property tests/fuzz tests/mutants
 	PYTHONPATH=tests $(BIN)/python -m fuzz --inputs 300000
 	PYTHONPATH=tests $(BIN)/python -m mutants --sample 150 --seconds 60
@@ -27,6 +27,10 @@ test: .venv/for-test test-packages tests/node/node_modules
 	$(BIN)/python -m pytest -q -n 2 -m "not real_time" tests/acceptance
 	$(BIN)/python -m pytest -q -m real_time tests/acceptance
 	$(MAKE) test-examples
+
+# Which lines the unit tests reach, with a lower bound. Tracing doubles their time, so that `make test` omits it.
+coverage: .venv/for-test
+	$(BIN)/python -m pytest -q -n 2 --cov --cov-report=term:skip-covered tests/unit
 
 # Users' tests run where only the wheel is installed. Its dependencies are those of .venv: a .pth file makes
 # them visible, but not the editable install of this folder.
