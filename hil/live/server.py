@@ -34,8 +34,8 @@ from hil.live.history import Rows
 from hil.live.operator import DaemonOperator
 from hil.live.run_source import MAX_ROWS, RunSource
 
-UPDATE_MS = 50
-"""Time between two updates of a viewer: 20 a second."""
+UPDATE_MS = 40
+"""Time between two updates of a viewer: 25 a second."""
 READINGS_MS = 1000
 """Time between two readings of the last steps."""
 LAST_UPDATES_S = 1.0

@@ -67,7 +67,7 @@ class Rows {
 }
 
 const live = window.hilLive = { rows: null, run: null, charts: [], delays_ms: [], received: 0, drawn: 0, last: null };
-const DRAW_MS = 50, LABEL_MS = 200, MAX_DRAW_MS = 500;  // 20 pictures and 5 values a second
+const DRAW_MS = 40, LABEL_MS = 200, MAX_DRAW_MS = 500;  // 25 pictures and 5 values a second
 const GAP_PERIODS = 10;
 let isPaused = false, isDirty = false, mayOperate = false, isOver = false, isRecording = false;
 let view = [0, 30], cursor_s = null, histograms = null, next_draw_ms = 0, labelled_ms = 0;
