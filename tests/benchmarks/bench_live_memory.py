@@ -108,7 +108,7 @@ def allocated_mb(browser: Browser, page: Page) -> float:
     events: list[dict[str, Any]] = []
     complete: list[object] = []
     session.on("Tracing.dataCollected", lambda found: events.extend(found["value"]))
-    session.on("Tracing.tracingComplete", complete.append)
+    session.on("Tracing.tracingComplete", lambda found: complete.append(found))
     categories = {"includedCategories": ["disabled-by-default-memory-infra"]}
     config = {**categories, "memoryDumpConfig": {"triggers": []}}
     session.send("Tracing.start", {"traceConfig": config, "transferMode": "ReportEvents"})
