@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import random
 import re
-import signal
 import subprocess
 import sys
 import tempfile
@@ -43,6 +42,9 @@ PLAYERS = {
     "canplayer": ["canplayer", "-I", "played.log", "vcan0=recorded"],
     "canplayer -g 0": ["canplayer", "-g", "0", "-I", "played.log", "vcan0=recorded"],
 }
+RECEIVERS = Path("/proc/net/can/rcvlist_all")
+"""The kernel's list of sockets that receive every frame of an interface."""
+TIMEOUT_S = 10.0
 LINE = re.compile(r"\((\d+\.\d+)\) \S+ (\S+)")
 
 
@@ -56,12 +58,15 @@ def errors_ms(player: list[str], folder: Path) -> NDArray[np.float64]:
     recorded = stamped((folder / "played.log").read_text())
     seen_log = folder / "seen.log"
     with seen_log.open("w") as output:
-        candump = subprocess.Popen(["candump", "-L", "-r", "4000000", "vcan0"], stdout=output)
-        time.sleep(1.0)  # candump has no other sign that it listens
+        count = str(len(recorded))  # candump ends after so many frames
+        command = ["candump", "-L", "-r", "4000000", "-n", count, "vcan0"]
+        candump = subprocess.Popen(command, stdout=output)
+        end_s = time.monotonic() + TIMEOUT_S
+        while " vcan0 " not in RECEIVERS.read_text():
+            if time.monotonic() > end_s:
+                raise RuntimeError(f"candump does not listen after {TIMEOUT_S:g} s")
         subprocess.run(player, check=True, cwd=folder, capture_output=True)
-        time.sleep(0.5)
-        candump.send_signal(signal.SIGINT)
-        candump.wait()
+        candump.wait(TIMEOUT_S)
     seen = stamped(seen_log.read_text())[: len(recorded)]
     assert [frame for _, frame in seen] == [frame for _, frame in recorded], "each frame, in order"
     late_s = np.array([at for at, _ in seen]) - np.array([at for at, _ in recorded])
