@@ -120,6 +120,31 @@ def test_what_is_drawn_is_what_is_recorded(page: Page, tmp_path: Path) -> None:
             assert (near.min(axis=1) <= value).all() and (value <= near.max(axis=1)).all()
 
 
+def test_a_row_counts_as_drawn_after_every_chart_with_it_was_painted(page: Page, playing: str) -> None:
+    page.goto(playing)
+    page.wait_for_function("hilLive.charts.every((chart) => chart.isVisible) && hilLive.delays_ms.length > 0")
+    page.evaluate(
+        """() => {
+            const events = window.events = [], { draw } = Chart.prototype;
+            const { delays_ms } = hilLive, { push } = [];
+            Chart.prototype.draw = function (curves) { events.push("new data"); draw.call(this, curves); };
+            for (const chart of hilLive.charts)
+                chart.view.then((view) => view.repainted.connect(() => events.push("painted")));
+            delays_ms.push = (ms) => { events.push("noted"); return push.call(delays_ms, ms); };
+        }"""
+    )
+    noted_now = "name === 'noted' && events[place - 1] === 'painted'"
+    page.wait_for_function(f"events.filter((name, place) => {noted_now}).length > 4")
+    events: list[str] = page.evaluate("events")
+    lines = "".join({"new data": "d", "painted": "p", "noted": "n"}[name] for name in events)
+    pictures = re.findall("d+[^d]*", lines)
+    noted = [picture for picture in pictures[1:] if "n" in picture]
+    assert len(noted) > 2
+    charts = page.evaluate("hilLive.charts.length")
+    for picture in noted:
+        assert picture.index("n") - picture.rindex("d") - 1 >= charts, lines
+
+
 @pytest.mark.parametrize("viewport", [LAPTOP, SMALL, PHONE], ids=["laptop", "1280 pixels", "phone"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_recording_fits_the_screen(

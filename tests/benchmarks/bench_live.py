@@ -19,7 +19,8 @@ largest. Beside it stands the ratio of the two halves of each run without the pa
 percentiles of the same thing are apart. A target is reached or missed by the median; the verdict says if
 the interval that has the true median with a probability of at least 90 % leaves it open.
 
-Then one and three headless browsers, each a process of its own. They draw without a graphics card here, and
+Then one and three headless browsers, each a process of its own. The time from sampled to drawn ends after the
+frame in which the last visible chart with the sample was painted. They draw without a graphics card here, and
 share the processors with loop and boards. Exit status 1: a target was missed.
 
 Response is the time from SYNC to the command, and includes the simulated boards, an ordinary process. Its

@@ -63,10 +63,10 @@ function makeFigure(options) {
 }
 
 // One chart. `lines`: [{label, colour, dashed}], `floor`: smallest height of the y axis, in `unit`, so that the noise
-// of a signal at rest does not fill the chart. `onMove` is called when the user pans, and `onCursor` with the time under
-// the pointer, or null.
+// of a signal at rest does not fill the chart. `on`: functions moved(start, end), when the user pans; pointed(time under
+// the pointer, or null); painted(chart), after each picture.
 class Chart {
-  constructor(parent, title, unit, lines, floor, onMove, onCursor) {
+  constructor(parent, title, unit, lines, floor, on) {
     this.lines = lines;
     this.box = document.createElement("div");
     this.box.className = "chart";
@@ -84,7 +84,7 @@ class Chart {
     parent.append(this.box);
     const y_range = new Bokeh.DataRange1d({ min_interval: floor, range_padding: 0.08, only_visible: true });
     const x_range = new Bokeh.Range1d({ start: 0, end: 30 });
-    x_range.change.connect(() => { if (!this.isMoving) onMove(x_range.start, x_range.end); });
+    x_range.change.connect(() => { if (!this.isMoving) on.moved(x_range.start, x_range.end); });
     this.figure = makeFigure({ height: HEIGHT, x_range, y_range, tools: "xpan" });
     this.sources = lines.map((line) => {
       const source = new Bokeh.ColumnDataSource({ data: { t: [], v: [] } });
@@ -95,9 +95,10 @@ class Chart {
     });
     this.cursor = new Bokeh.Span({ dimension: "height", location: 0, visible: false, line_color: colourOf("--ink"), line_width: 1.5 });
     this.figure.add_layout(this.cursor);
-    for (const name of ["mousemove", "tap"]) this.figure.on_event(name, (event) => onCursor(event.x));
-    this.figure.on_event("mouseleave", () => onCursor(null));
+    for (const name of ["mousemove", "tap"]) this.figure.on_event(name, (event) => on.pointed(event.x));
+    this.figure.on_event("mouseleave", () => on.pointed(null));
     show_in(this, this.box.lastChild);
+    this.view.then((view) => view.repainted.connect(() => on.painted(this)));
   }
   remove() { discard(this); }
   // Show or hide the labels of the time axis. Charts above each other need them once.

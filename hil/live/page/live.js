@@ -90,6 +90,7 @@ function takeRows(values) {
   live.rows.add(values);
   live.received += values.length / live.rows.width;
   isDirty = true;
+  if (!document.hidden) draw(performance.now());  // now, and not in the next frame: that is when BokehJS paints
 }
 
 // Begin anew: with the connection's first message, and when another run has begun.
@@ -173,7 +174,7 @@ function buildCharts() {
         error: [[{ label: "setpoint − measured", colour: colours.measured }], [r, y], unit, floors[unit]],
         valve: [[{ label: "command", colour: colours.measured }], [v], "V", 0.2],
       }[kind];
-      const chart = new Chart(place, `${name}, ${KINDS[kind]}`, of, lines, floor, moved, setCursor);
+      const chart = new Chart(place, `${name}, ${KINDS[kind]}`, of, lines, floor, { moved, pointed: setCursor, painted });
       watchVisibility(chart);
       const values = kind === "error" ? [(row) => live.rows.at(row, r) - live.rows.at(row, y)] : columns.map(column);
       Object.assign(chart, { kind, columns, values, digits: kind === "valve" ? 3 : 4 });
@@ -188,8 +189,11 @@ function buildCharts() {
   isDirty = true;
 }
 
+function drawFrame(now_ms) {
+  requestAnimationFrame(drawFrame);
+  draw(now_ms);
+}
 function draw(now_ms) {
-  requestAnimationFrame(draw);
   if (isDirty && live.rows && live.rows.length && now_ms > next_draw_ms) {
     isDirty = false;
     limitDrawing(now_ms);
@@ -218,12 +222,19 @@ function draw(now_ms) {
 }
 
 // Note the time from sampled to drawn, in ms, of each row that is drawn for the first time.
-let next_row_s = -Infinity;
+let next_row_s = -Infinity, unpainted = { sampled_ms: [], charts: new Set() };
 function noteDelays(rows) {
   const zero_ms = (live.run.start_ns + live.run.epoch_offset_ns) / 1e6, first = rows.find(next_row_s), end = rows.end;
-  const sampled_ms = Array.from({ length: Math.min(end - first, 100) }, (_, k) => zero_ms + 1000 * rows.at(end - 1 - k, 0));
   next_row_s = rows.last + 1e-6;
-  requestAnimationFrame(() => {  // after the charts of this frame have been painted
+  unpainted.charts = new Set(live.charts.filter((chart) => chart.isVisible));
+  if (!unpainted.charts.size || unpainted.sampled_ms.length > 1000) unpainted.sampled_ms = [];  // nothing is painted
+  else for (let row = Math.max(first, end - 100); row < end; row += 1) unpainted.sampled_ms.push(zero_ms + 1000 * rows.at(row, 0));
+}
+function painted(chart) {
+  if (!unpainted.charts.delete(chart) || unpainted.charts.size) return;
+  const { sampled_ms } = unpainted;
+  unpainted.sampled_ms = [];
+  setTimeout(() => {  // after the frame in which the last chart has been painted
     const now_ms = Date.now();
     for (const at_ms of sampled_ms) live.delays_ms.push(now_ms - at_ms);
     if (live.delays_ms.length > 5000) live.delays_ms.splice(0, 2500);
@@ -512,4 +523,4 @@ const connection = new Connection({
     showReply({ accepted: false, text: `${name}: ${why}. It may have been done or not.${name === "stop" ? ` ${INSTEAD}` : ""}` });
   },
 });
-requestAnimationFrame(draw);
+requestAnimationFrame(drawFrame);
