@@ -258,6 +258,15 @@ class _Scanner:
         )
         known.setdefault(description.id, description)  # type: ignore[arg-type]
 
+    def _describe_unless_misnumbered(self, channel: Channel) -> None:
+        """Take a channel of the summary, unless it has no message and another one already has its topic.
+
+        Nothing but the whole summary's CRC protects its number, and two channels with one topic mislead.
+        """
+        topics = {known.topic for known in self._found.channels.values()}
+        if channel.id in self._found.counts or channel.topic not in topics:
+            self._describe(channel)
+
     def _take_summary(self, start: int) -> None:
         """Take schemas and channels of the summary, and find out whether the file has its end."""
         found, file = self._found, self._file
@@ -266,7 +275,7 @@ class _Scanner:
                 if record.opcode == Opcode.SCHEMA:
                     self._describe(parse_schema(self._body(record))[0])
                 elif record.opcode == Opcode.CHANNEL:
-                    self._describe(parse_channel(self._body(record))[0])
+                    self._describe_unless_misnumbered(parse_channel(self._body(record))[0])
                 elif record.opcode == Opcode.FOOTER:
                     found.footer = record
             except ValueError:

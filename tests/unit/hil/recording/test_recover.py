@@ -251,6 +251,19 @@ def test_single_bit_flips_lose_one_chunk_at_most(path: Path, recording: Recordin
         assert sum(new.counts.values()) == result.messages
 
 
+def test_a_channel_with_a_wrong_number_in_the_summary_is_left_out(
+    path: Path, recording: Recording, tmp_path: Path
+) -> None:
+    content = bytearray(path.read_bytes())
+    topic = content.rindex(b"/can/refused")
+    assert content[topic - 8] == 3  # number of the channel, before the schema and the length of the topic
+    content[topic - 8] = 35
+    new, result = saved(bytes(content), tmp_path)
+    assert result.repaired
+    assert new.counts == recording.counts
+    assert list(new.entries()) == list(recording.entries())
+
+
 def test_an_existing_file_is_not_overwritten(path: Path, tmp_path: Path) -> None:
     output = tmp_path / "there.mcap"
     output.write_text("mine")
