@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 import traceback
+from collections.abc import Callable
 
 from firmware_sim.simulated_plant import planned_events
 from hil import __version__
@@ -74,10 +75,16 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
             heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
             stack.enter_context(sole_gateway(link, heartbeat_interval_s))
         epoch_offset_ns = time.time_ns() - time.monotonic_ns()
+        recordings: Recordings | None = None
+
+        def recording() -> str:
+            return "" if recordings is None else str(recordings.written_path or "")
+
+        feed, feed_warning = _feed(stack, setup, spec, epoch_offset_ns, recording, options)
+        # A page that cannot be served leaves no recording behind.
         recorder = None if options.no_record else _recorder(setup, spec, link, epoch_offset_ns, options)
         limits = RotationLimits(options.rotate_bytes, options.rotate_s, options.keep)
         recordings = None if recorder is None else Recordings(recorder, limits)
-        feed, feed_warning = _feed(stack, setup, spec, epoch_offset_ns, recordings, options)
         log = LogLines()
         stack.callback(log.close)
         facts = Facts(
@@ -92,7 +99,7 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
                 pipe,
                 _described(setup, bus, epoch_offset_ns),
                 daemon_actions(stop, events),
-                lambda: _written_file(recordings) or None,
+                lambda: recording() or None,
                 time.monotonic_ns,
                 missing_rights(setup.rig, bus, rights),
             )
@@ -152,19 +159,15 @@ def _feed(
     setup: RunSetup,
     bus: str,
     epoch_offset_ns: int,
-    recordings: Recordings | None,
+    recording: Callable[[], str],
     options: argparse.Namespace,
 ) -> tuple[LiveFeed | None, str]:
     """Create the feed for `hil live`, and start the views that the user asks for.
 
-    Return the feed, or None and the reason why there is none. Raises EnvironmentLackError if there is none
-    and the user asks for a view.
+    ``recording`` returns the path of the present recording, or an empty text. Return the feed, or None and
+    the reason why there is none. Raises EnvironmentLackError if there is none and the user asks for a view.
     """
     socket_path = options.socket or default_path()
-
-    def recording() -> str:
-        return _written_file(recordings)
-
     try:
         feed = make_feed(setup, bus, epoch_offset_ns, options, recording, link_beside(socket_path))
     except EnvironmentLackError as error:
@@ -173,11 +176,6 @@ def _feed(
         return None, f"{error}: `hil live` cannot show this daemon"
     operator_socket = socket_path if options.operate else None
     return stack.enter_context(live_views(feed, options, operator_socket)), ""
-
-
-def _written_file(recordings: Recordings | None) -> str:
-    """Return the path of the recording that is being written; empty while nothing is recorded."""
-    return "" if recordings is None or recordings.written_path is None else str(recordings.written_path)
 
 
 def _recorder(

@@ -81,13 +81,14 @@ def run_realtime(
             heartbeat_interval_s = setup.rig.heartbeat_periods * setup.rig.loop.period_s
             stack.enter_context(sole_gateway(link, heartbeat_interval_s))
         epoch_offset_ns = time.time_ns() - time.monotonic_ns()
-        planned = planned_events(options) if bus == SIMULATED else {}
-        header = run_header(setup, epoch_offset_ns, spec, link.stamp_origin, host_versions(), planned)
-        recorder = Recorder(path, header, lossless=False)
         feed = None
         if options.live or options.foxglove is not None:
             made = make_feed(setup, spec, epoch_offset_ns, options, lambda: str(path))
             feed = stack.enter_context(live_views(made, options))
+        planned = planned_events(options) if bus == SIMULATED else {}
+        header = run_header(setup, epoch_offset_ns, spec, link.stamp_origin, host_versions(), planned)
+        # A page that cannot be served leaves no recording behind.
+        recorder = Recorder(path, header, lossless=False)
         display = LiveDisplay(axes)
         stack.callback(display.close)
         others: list[Observer] = [other for other in (feed, reports) if other is not None]

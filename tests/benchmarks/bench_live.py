@@ -100,10 +100,14 @@ def feed_cost_us() -> float:
 
 def serving_process(run: subprocess.Popen[str]) -> int:
     """Return the process id of the process that serves the page of ``run``."""
-    children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
-    for child in children:
-        if b"hil.live.server" in Path(f"/proc/{child}/cmdline").read_bytes():
-            return int(child)
+    end_s = time.monotonic() + 10.0
+    while time.monotonic() < end_s:  # the kernel's list may lack one while others end
+        children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
+        for child in children:
+            with contextlib.suppress(OSError):
+                if b"hil.live.server" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    return int(child)
+        threading.Event().wait(0.05)
     raise RuntimeError("the run has no process that serves the page")
 
 

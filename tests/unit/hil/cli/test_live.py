@@ -1,6 +1,7 @@
 """``hil live``: what it shows, and which arguments do not fit together."""
 
 import signal
+import socket
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from support.recorded_runs import record_run
 
 from hil.cli import live, run
-from hil.core.errors import DocumentError, OperationError, RecordingError
+from hil.core.errors import DocumentError, EnvironmentLackError, OperationError, RecordingError
 
 
 @pytest.fixture
@@ -133,3 +134,16 @@ def test_a_signal_ends_the_serving_process_too(started: mock.Mock, recorded: Pat
         live.main([str(recorded)])
     assert ended.value.code == 128 + signal.SIGTERM
     process.terminate.assert_called_once_with()
+
+
+@pytest.mark.parametrize("command", ["run", "daemon"])
+def test_a_page_that_cannot_be_served_leaves_no_recording(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = str(other.getsockname()[1])
+        options = ["--socket", str(tmp_path / "hil.sock")] if command == "daemon" else ["--duration", "1"]
+        with pytest.raises(EnvironmentLackError, match=f"the page cannot be served on 127.0.0.1:{port}"):
+            import_module(f"hil.cli.{command}").main(["--live", "--port", port, *options])
+    assert not (tmp_path / "runs").exists() or not list((tmp_path / "runs").iterdir())
