@@ -10,6 +10,7 @@ import msgspec
 
 from firmware_sim.plant_options import add_plant_options
 from hil.cli.run import duration_argument
+from hil.core.document_words import validation_problem
 from hil.core.errors import DocumentError
 from hil.core.excitation import KINDS, Signal, read_table
 from hil.core.experiment import MAX_PAUSE_S, Experiment, Origins, check_experiment
@@ -161,17 +162,12 @@ def _signal(options: argparse.Namespace) -> Signal:
             )
     if "seed" in fields:
         given["seed"] = options.seed
+    plain = {"kind": kind, **DEFAULTS, **given}
     try:
-        return msgspec.convert({"kind": kind, **DEFAULTS, **given}, document)  # type: ignore[return-value]
+        return msgspec.convert(plain, document)  # type: ignore[return-value]
     except msgspec.ValidationError as error:
-        raise DocumentError(f"--excitation {kind}: {_in_options(str(error))}") from None
-
-
-def _in_options(problem: str) -> str:
-    """Return msgspec's problem with the option in place of the field's path."""
-    text, _, path = problem.partition(" - at `$.")
-    field = path.rstrip("`")
-    return f"--{_option(field)}: {text[:1].lower()}{text[1:]}" if field else text
+        field, _, problem = validation_problem(str(error), plain, document).partition(" ")
+        raise DocumentError(f"--excitation {kind}: --{_option(field)} {problem}") from None
 
 
 def _option(field: str) -> str:

@@ -27,6 +27,7 @@ def make_parser() -> CommandParser:
         (["--bsu", "b"], "unknown option --bsu; did you mean --bus?"),
         (["--bus", "b", "--quaternion"], "unknown option --quaternion"),
         (["--bus", "b", "--seed", "1.5"], "argument --seed: '1.5' is not a whole number"),
+        (["--bus", "b", "--seed", "-1s"], "argument --seed: '-1s' is not a whole number"),
         (["--bus", "b", "one", "two"], "unexpected argument 'two'"),
         (["--bus"], "argument --bus: expected one argument"),
         ([], "the following arguments are required: --bus"),
@@ -45,6 +46,7 @@ def test_an_error_is_one_sentence(
 def test_valid_arguments_are_parsed() -> None:
     options = make_parser().parse_args(["--bus", "b", "--seed", "3", "f"])
     assert (options.bus, options.seed, options.file) == ("b", 3, "f")
+    assert make_parser().parse_args(["--bus", "-1e-3"]).bus == "-1e-3"
     assert make_parser().parse_args(["--bus", "b", "--", "--not-an-option"]).file == "--not-an-option"
 
 
