@@ -53,7 +53,7 @@ def keep_lockstep_rig(rig: LockstepRig, name: str) -> Keeper:
 
     def keep(folder: Path) -> list[str]:
         recording = rig.save_recording(folder / f"{name}.mcap")
-        return [*keep_recording(recording, folder, name), f"log        {_write_log(rig, folder, name)}"]
+        return [*keep_recording(recording, folder, name), f"log        {_write_log(recording, folder, name)}"]
 
     return keep
 
@@ -71,11 +71,14 @@ def keep_recording(recording: Recording, folder: Path, name: str) -> list[str]:
     return [*lines, f"plot       {folder / f'{name}.png'}"]
 
 
-def _write_log(rig: LockstepRig, folder: Path, name: str) -> Path:
+def _write_log(recording: Recording, folder: Path, name: str) -> Path:
+    """Write the log, with the seconds since the first period."""
     path = folder / f"{name}.log"
-    lines = [f"{entry.severity.name:7} {entry.source}: {entry.text}" for entry in rig.log]
-    lines += [f"fault begun at {at_ns * 1e-9:.4f} s: {text}" for at_ns, text in rig.faults_begun]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    lines = [
+        f"{recording.seconds(at_ns):9.4f} s  {entry.severity.name:7} {entry.source}: {entry.text}\n"
+        for at_ns, entry in recording.log()
+    ]
+    path.write_text("".join(lines), encoding="utf-8")
     return path
 
 

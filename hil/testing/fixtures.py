@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 
+from hil.core.suggestions import did_you_mean
 from hil.testing.evidence import keep_lockstep_rig, keep_on_failure
+
+VCAN_OPTIONS: Final = ("rig", "boards", "gateway")
+"""Options of the mark ``vcan_rig``."""
 
 if TYPE_CHECKING:
     import can
@@ -22,12 +27,25 @@ if TYPE_CHECKING:
     from hil.testing.vcan_processes import VcanBoards, VcanGateway, VcanRig
 
 
-def _options(request: pytest.FixtureRequest, mark: str) -> dict[str, Any]:
-    """Return the options of the test's marks, the nearest last, and those of an indirect parameter."""
+def _options(request: pytest.FixtureRequest, mark: str, known: Iterable[str]) -> dict[str, Any]:
+    """Return the options of the test's marks, the nearest last, and those of an indirect parameter.
+
+    An option that is not in ``known`` fails the test.
+    """
     options: dict[str, Any] = {}
     for found in reversed(list(request.node.iter_markers(mark))):
         options |= found.kwargs
-    return options | getattr(request, "param", {})
+    options |= getattr(request, "param", {})
+    for name in options:
+        if name not in known:
+            text = f"{request.fixturename} (mark {mark}) has the options {', '.join(known)}; {name!r} is none"
+            pytest.fail(f"{text}{did_you_mean(name, known)}", pytrace=False)
+    return options
+
+
+def _keywords(function: Callable[..., object]) -> list[str]:
+    """Return the names of the arguments of ``function``."""
+    return [name for name in inspect.signature(function).parameters if name != "self"]
 
 
 @pytest.fixture
@@ -61,7 +79,9 @@ def lockstep_rig(
     ``@pytest.mark.lockstep_rig(setpoints={"vertical": "step:0.1@1"}, faults=["lose:sample,3@2"])``, or an
     indirect parameter with the same keys, configures it.
     """
-    return make_lockstep_rig(**_options(request, "lockstep_rig"))
+    from hil.lockstep_rig import LockstepRig
+
+    return make_lockstep_rig(**_options(request, "lockstep_rig", ["state", *_keywords(LockstepRig)]))
 
 
 @pytest.fixture
@@ -72,7 +92,7 @@ def gateway_alone(request: pytest.FixtureRequest) -> GatewayAlone:
     """
     from hil.testing.gateway_alone import GatewayAlone
 
-    return GatewayAlone(**_options(request, "lockstep_rig"))
+    return GatewayAlone(**_options(request, "lockstep_rig", _keywords(GatewayAlone)))
 
 
 @pytest.fixture
@@ -83,7 +103,7 @@ def boards_alone(request: pytest.FixtureRequest) -> BoardsAlone:
     """
     from hil.testing.boards_alone import BoardsAlone
 
-    return BoardsAlone(**_options(request, "lockstep_rig"))
+    return BoardsAlone(**_options(request, "lockstep_rig", _keywords(BoardsAlone)))
 
 
 @pytest.fixture
@@ -155,7 +175,7 @@ def vcan_boards(request: pytest.FixtureRequest, vcan_interface: str, tmp_path: P
     """
     from hil.testing.vcan_processes import VcanBoards
 
-    options = _options(request, "vcan_rig")
+    options = _options(request, "vcan_rig", VCAN_OPTIONS)
     with VcanBoards(vcan_interface, tmp_path, options.get("rig"), options.get("boards", ())) as boards:
         yield boards
 
@@ -171,7 +191,7 @@ def vcan_gateway(
     """
     from hil.testing.vcan_processes import VcanGateway
 
-    options = _options(request, "vcan_rig")
+    options = _options(request, "vcan_rig", VCAN_OPTIONS)
     gateway = VcanGateway(vcan_interface, tmp_path, options.get("rig"), options.get("gateway", ()))
     with gateway:
         keep_on_failure(request.node, lambda folder: _keep_gateway(gateway, folder))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -95,8 +96,9 @@ def test_failing(make_lockstep_rig):
     for path in kept.iterdir():
         assert str(path) in output
     assert "kept by hil" in output
-    assert "fault begun at" in (kept / "run.log").read_text()
-    assert "FATAL   adc: no good sample" in (kept / "run.log").read_text()
+    log = (kept / "run.log").read_text()
+    assert re.search(r"^ +\d+\.\d{4} s  FATAL   adc: no good sample", log, re.MULTILINE)
+    assert re.search(r"^ +\d+\.\d{4} s  WARNING simulated fault: hang:adc", log, re.MULTILINE)
 
 
 def test_an_option_chooses_the_folder_of_failed_tests_and_nothing_is_kept_of_others(
@@ -163,6 +165,33 @@ def test_recordings(record_run, number, request):
     )
     output, status = session("-q")
     assert (status, "6 passed" in output) == (0, True), output
+
+
+@pytest.mark.parametrize(
+    ("mark", "fixture", "said"),
+    [
+        (
+            'lockstep_rig(setpoint={"vertical": "step:0.1@1"})',
+            "lockstep_rig",
+            "lockstep_rig (mark lockstep_rig) has the options state, rig, controllers, setpoints, ",
+        ),
+        ("lockstep_rig(sed=1)", "boards_alone", "'sed' is none; did you mean seed?"),
+        ("lockstep_rig(seed=1)", "gateway_alone", "setpoints; 'seed' is none"),
+        (
+            "vcan_rig(board=[])",
+            "vcan_gateway",
+            "has the options rig, boards, gateway; 'board' is none; did you mean boards?",
+        ),
+    ],
+)
+def test_an_unknown_option_of_a_mark_names_the_nearest_one(
+    folder: Path, session: Session, mark: str, fixture: str, said: str
+) -> None:
+    write(folder, f"import pytest\n\n@pytest.mark.{mark}\ndef test_it({fixture}):\n    pass\n")
+    output, status = session("-q")
+    assert status == 1
+    assert said in output
+    assert "TypeError" not in output
 
 
 def test_a_state_that_does_not_exist_is_an_error(folder: Path, session: Session) -> None:
