@@ -25,7 +25,8 @@ that it was sent and it did not arrive. A value is unknown before the first samp
 UP_AND_CLEAR = "\x1b[{lines}F\x1b[J"
 """Terminal sequence that goes up by some lines and erases what is below."""
 
-
+OLD_S = 0.1
+"""Age of the last good sample from which on the status says it."""
 MIN_INTERVAL_S, MAX_INTERVAL_S = 0.05, 60.0
 """Limits of the time between two looks, those of the protocol."""
 
@@ -125,6 +126,9 @@ def status_lines(status: Status) -> list[str]:
             f"  {axis.name:12} {_signed(axis.position)} {axis.unit:3}  setpoint {_signed(axis.setpoint)} "
             f"{axis.unit:3}  valve {command:>7}"
         )
+    if status.sample_age_s is not None and status.sample_age_s > OLD_S:
+        age = f"the last good one is {status.sample_age_s:.1f} s old"
+        lines.append(f"{'samples':8}  {age}: positions are those of then")
     lines.append(f"{'record':8}  {status.recording or 'nothing is recorded'}")
     if status.calibrated_axis is not None:
         text = f"limits of {status.calibrated_axis} are wide; it can be jogged, and nothing starts"

@@ -274,6 +274,8 @@ class Status(msgspec.Struct, frozen=True):
     """Axis whose limits are wide because it is being calibrated. Controllers do not start then."""
     overridden_checks: tuple[str, ...] = ()
     """Failed checks that an operator has overridden to arm."""
+    sample_age_s: float | None = None
+    """Time since the last good sample, of which the signals are, in seconds; None before the first one."""
     log: tuple[LogLine, ...] = ()
     """Log entries since the last status of the same watch; empty in the answer to ``status``."""
 

@@ -105,6 +105,8 @@ class OperatorPort:
         self._max_lateness_ns = 0
         """Largest delay of a period since the last regular status."""
         self._max_lateness_since_start_ns = 0
+        self._sampled_ns: int | None = None
+        """Begin of the last period with a good sample."""
         self._is_due = False
         """True between the end of a period and the next call of ``serve``."""
         self._period_ns = round(described.period_s * 1e9)
@@ -127,6 +129,8 @@ class OperatorPort:
         late_ns = cycle.wake_ns - cycle.deadline_ns
         self._max_lateness_ns = max(self._max_lateness_ns, late_ns)
         self._max_lateness_since_start_ns = max(self._max_lateness_since_start_ns, late_ns)
+        if cycle.fresh:
+            self._sampled_ns = cycle.wake_ns
 
     def serve(self, session: Session) -> None:
         """Take the requests that wait, if it is time for it. Raises LinkError.
@@ -233,6 +237,7 @@ class OperatorPort:
             max_lateness_since_start_ms=self._max_lateness_since_start_ns / 1e6,
             calibrated_axis=described.calibrated_axis,
             overridden_checks=gateway.overridden_checks,
+            sample_age_s=None if self._sampled_ns is None else (cycle.wake_ns - self._sampled_ns) * 1e-9,
             axes=tuple(
                 _axis_status(name, unit, signals)
                 for (name, unit), signals in zip(described.axes, cycle.axes, strict=True)

@@ -440,3 +440,11 @@ def test_the_status_shows_overridden_checks() -> None:
     lines = status_lines(status(overridden_checks=("SCHED_FIFO", "memory-lock")))
     assert "override  armed although these checks fail: SCHED_FIFO, memory-lock" in lines
     assert not any(line.startswith("override") for line in status_lines(status()))
+
+
+def test_the_status_says_that_positions_are_old() -> None:
+    assert "samples   the last good one is 12.3 s old: positions are those of then" in status_lines(
+        status(sample_age_s=12.34)
+    )
+    for age_s in (None, 0.0224):
+        assert not any(line.startswith("samples") for line in status_lines(status(sample_age_s=age_s)))

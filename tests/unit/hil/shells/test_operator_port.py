@@ -134,6 +134,19 @@ def test_the_lateness_is_that_of_the_last_periods_and_that_since_the_start(bench
     assert (last.max_lateness_ms, last.max_lateness_since_start_ms) == (0.0, 5.0)
 
 
+def test_a_status_has_the_age_of_the_last_good_sample(bench: PortBench) -> None:
+    last = bench.run.shown.cycles[-1]
+    assert last.fresh
+    late = last._replace(fresh=False, number=last.number + STATUS_PERIODS, wake_ns=last.wake_ns + 3 * 10**9)
+    bench.port.cycle(late, bench.run.gateway)
+    bench.port.serve(bench.run.session)
+    (found,) = [m.status for m in bench.received() if isinstance(m, StatusNow)]
+    assert found.sample_age_s == pytest.approx(3.0)
+    bench.period(2 * STATUS_PERIODS + 2)
+    *_, found = [m.status for m in bench.received() if isinstance(m, StatusNow)]
+    assert found.sample_age_s == 0.0
+
+
 def test_requests_reach_the_core_with_who_asked(bench: PortBench) -> None:
     document = (SHIPPED_CONTROLLERS / "ppid.json").read_text()
     for call, is_accepted in (
