@@ -311,7 +311,7 @@ def verify(
 ) -> list[Verified]:
     """Step the axis with the new controller under every condition, and compare with the specifications."""
     from hil.recording import open_recording
-    from hil.views.summary import StepResponse
+    from hil.views.summary import StepResponse, min_steps
 
     found = []
     for model in models:
@@ -331,21 +331,26 @@ def verify(
             setpoint = directory / f"{condition.name}-step.csv"
             setpoint.write_text(step_setpoint(start, low, high, settling_s), encoding="utf-8")
             run_experiment(path, step_command(job, condition, controller, setpoint, settling_s))
-        measured = last_step(open_recording(path).axis(job.axis))
+        recording = open_recording(path)
+        smallest = min_steps(recording.documents.get("rig.toml", ""))
+        measured = last_step(recording.axis(job.axis), smallest.get(job.axis, 0.0))
         if not isinstance(measured, StepResponse):
             raise HilError(f"{path}: no step response of {job.axis} can be read from it")
         found.append(Verified(condition, path, measured, failures(measured, requirements)))
     return found
 
 
-def last_step(table: AxisTable) -> StepResponse | Tracking | None:
-    """Return the readings of the last change of the setpoint, without the path that leads to it."""
+def last_step(table: AxisTable, min_step: float = 0.0) -> StepResponse | Tracking | None:
+    """Return the readings of the last change of the setpoint, without the path that leads to it.
+
+    ``min_step``: smallest change that is a step, in the axis' unit.
+    """
     from hil.views.summary import axis_summary
 
     controlled = table[table.running]
     changes = np.flatnonzero(np.diff(controlled.setpoint)) + 1
     begins = int(changes[-2]) if len(changes) > 1 else 0
-    return axis_summary(controlled[begins:])
+    return axis_summary(controlled[begins:], min_step)
 
 
 def default_design() -> DesignFile:

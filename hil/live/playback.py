@@ -16,6 +16,7 @@ from hil.live.feed_file import HISTORY_S
 from hil.live.history import Rows
 from hil.live.readings import readings
 from hil.recording import open_recording
+from hil.views.summary import min_steps
 
 MAX_SPEED = 1000.0
 READINGS_INTERVAL_S = 0.5
@@ -47,6 +48,7 @@ class Playback:
         ]
         if len(self.rows) == 0:
             raise RecordingError(f"{paths[0]}: no period to play in this range")
+        self.min_steps = min_steps(recording.documents.get("rig.toml", ""))
         self.begin_s, self.end_s = float(self.rows[0, 0]), float(self.rows[-1, 0])
         """Times of the first and the last period, in seconds from the first recorded one."""
         documents = recording.documents
@@ -123,7 +125,7 @@ class PlaybackSource:
             self._next_readings_s = now_s + READINGS_INTERVAL_S
             begin = np.searchsorted(playback.rows[:, 0], self._position_s - HISTORY_S)
             seen = playback.rows[begin:end]
-            messages.append({"readings": readings(seen, playback.axes, playback.states)})
+            messages.append({"readings": readings(seen, playback.axes, playback.states, playback.min_steps)})
         messages.append({"position_s": self._position_s})
         return messages, rows
 

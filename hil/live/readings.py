@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,16 @@ MAX_STEP_ROWS = 5400
 page that is open for long must not read ten minutes of periods each second."""
 
 
-def readings(rows: Rows, axes: Sequence[tuple[str, str]], states: Sequence[str]) -> dict[str, Any]:
+def readings(
+    rows: Rows,
+    axes: Sequence[tuple[str, str]],
+    states: Sequence[str],
+    min_steps: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Any]:
     """Return the readings of the last step, or of tracking, by the axis' name; nothing unless running now.
 
-    ``rows`` as in ``History``; ``axes``: name and unit of each; ``states``: the life cycle's, by number.
+    ``rows`` as in ``History``; ``axes``: name and unit of each; ``states``: the life cycle's, by number;
+    ``min_steps``: smallest change of the setpoint that is a step, by the axis' name and in its unit.
     """
     is_running = rows[:, COLUMNS.index("state")] == list(states).index("running")
     if not is_running.any() or not is_running[-1]:
@@ -40,7 +47,7 @@ def readings(rows: Rows, axes: Sequence[tuple[str, str]], states: Sequence[str])
     found: dict[str, Any] = {}
     for place, (name, unit) in enumerate(axes):
         part, read = _rows_to_read(rows, place)
-        summary = axis_summary(_table(read, place, running[part], name, unit))
+        summary = axis_summary(_table(read, place, running[part], name, unit), min_steps.get(name, 0.0))
         if summary is not None:
             found[name] = {"kind": type(summary).__name__, **asdict(summary)}
     return found

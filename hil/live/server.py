@@ -17,10 +17,11 @@ import logging
 import os
 import socket
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from time import monotonic
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
@@ -34,9 +35,9 @@ from hil.live.history import Rows
 from hil.live.operator import DaemonOperator
 from hil.live.run_source import MAX_ROWS, RunSource
 
-UPDATE_MS = 40
-"""Time between two updates of a viewer: 25 a second."""
-READINGS_MS = 1000
+UPDATE_S = 0.03
+"""Smallest time between two updates of a viewer. For a run it is a whole number of periods: 30 a second."""
+READINGS_S = 1.0
 """Time between two readings of the last steps."""
 LAST_UPDATES_S = 1.0
 """Time for which viewers are served after the end of the run."""
@@ -250,40 +251,55 @@ def application(hosts: list[str], token: str, make_source: object) -> web.Applic
 def serve(options: dict[str, Any]) -> None:
     """Serve until the run has ended, or until the process is killed."""
     loop = ioloop.IOLoop.current()
-    update: Callable[[], None]
     if options["recording"] is not None:
         from hil.live.playback import Playback, PlaybackSource
 
         playback = Playback([Path(name) for name in options["recording"]], *options["range_s"])
         app = application(options["hosts"], options["token"], lambda: PlaybackSource(playback))
-        update = partial(_update_viewers, app)
+        ioloop.PeriodicCallback(partial(_update_viewers, app), UPDATE_S * 1e3).start()
     else:
         operator = None if options["operate"] is None else DaemonOperator(options["operate"])
         current = CurrentRun(Path(options["feed"]), is_followed=options["is_followed"])
         app = application(options["hosts"], options["token"], lambda: RunSource(current, operator))
-        update = partial(_update_from_run, app, current, operator, loop)
-        ioloop.PeriodicCallback(partial(_update_readings, app, current), READINGS_MS).start()
+        loop.add_callback(RunUpdates(app, current, operator, loop).update)
     server = Server(app, max_header_size=16384, max_body_size=0, idle_connection_timeout=REQUEST_TIMEOUT_S)
     server.add_socket(socket.socket(fileno=options["listen"]))
-    ioloop.PeriodicCallback(update, UPDATE_MS).start()
     loop.start()
 
 
-def _update_from_run(
-    app: web.Application, current: CurrentRun, operator: DaemonOperator | None, loop: ioloop.IOLoop
-) -> None:
-    """Take what is new of the run, and send it to the viewers. After the last run, stop."""
-    was_over = current.run.is_over
-    if current.update() and operator is not None:
-        operator.disconnect()
-    _update_viewers(app)
-    if current.run.is_over and not was_over and not current.is_followed:
-        loop.call_later(LAST_UPDATES_S, loop.stop)
+class RunUpdates:
+    """Takes what is new of the run and sends it to the viewers, while the loop waits for its deadline."""
 
+    def __init__(
+        self,
+        app: web.Application,
+        current: CurrentRun,
+        operator: DaemonOperator | None,
+        loop: ioloop.IOLoop,
+    ) -> None:
+        self._app = app
+        self._current = current
+        self._operator = operator
+        self._loop = loop
+        self._next_readings_s = 0.0
 
-def _update_readings(app: web.Application, current: CurrentRun) -> None:
-    if app.settings["viewers"] and not current.run.is_over:
-        current.run.update_readings()
+    def update(self) -> None:
+        """Plan the next update and make this one. After the last run, stop."""
+        current, now_s = self._current, monotonic()
+        self._loop.call_later(current.run.until_idle_s(now_s, UPDATE_S), self.update)
+        was_over = current.run.is_over
+        if current.update() and self._operator is not None:
+            self._operator.disconnect()
+        _update_viewers(self._app)
+        if now_s >= self._next_readings_s:
+            self._next_readings_s = now_s + READINGS_S
+            self._loop.add_callback(self._update_readings)  # after the viewers
+        if current.run.is_over and not was_over and not current.is_followed:
+            self._loop.call_later(LAST_UPDATES_S, self._loop.stop)
+
+    def _update_readings(self) -> None:
+        if self._app.settings["viewers"] and not self._current.run.is_over:
+            self._current.run.update_readings()
 
 
 def _update_viewers(app: web.Application) -> None:

@@ -113,9 +113,9 @@ class AxisSignals(Protocol):
         """Unit of setpoint, position and error."""
 
 
-def axis_summary(axis: AxisSignals) -> StepResponse | Tracking | None:
-    """Return the figures of one axis; None if it was not controlled."""
-    figures = AxisFigures(axis.unit)
+def axis_summary(axis: AxisSignals, min_step: float = 0.0) -> StepResponse | Tracking | None:
+    """Return the figures of one axis; None if it was not controlled. ``min_step`` as in ``AxisFigures``."""
+    figures = AxisFigures(axis.unit, min_step)
     figures.add(axis)
     return figures.result()
 

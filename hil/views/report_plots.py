@@ -66,7 +66,7 @@ class Plots:
     def __init__(self, recording: Recording, loop: LoopFigures) -> None:
         self._recording = recording
         self._loop = loop
-        self._min_steps = min_steps(recording)
+        self._min_steps = min_steps(recording.documents.get("rig.toml", ""))
         self._slots = Slots.over(loop.first_s, loop.last_s, max(loop.period_s, _MIN_PERIOD_S))
 
     def axis(self, name: str) -> AxisPlots:

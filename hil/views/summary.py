@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from hil.core.errors import HilError
-from hil.core.rig import read_rig
+from hil.core.rig import Rig, read_rig
 from hil.recording.reader import Recording
 from hil.views.axis_figures import (
     MAX_INITIAL_ERROR,
@@ -38,6 +38,7 @@ __all__ = [
     "axis_summary",
     "losses",
     "min_steps",
+    "min_steps_of",
     "quantiles",
     "sum_up",
     "summarise",
@@ -119,7 +120,7 @@ class Summary:
 
 def summarise(recording: Recording) -> Summary:
     """Sum up ``recording``. Raises RecordingError when it lacks the channels of the loop."""
-    axes, smallest = {}, min_steps(recording)
+    axes, smallest = {}, min_steps(recording.documents.get("rig.toml", ""))
     for name, unit in recording.axes.items():
         figures = AxisFigures(unit, smallest.get(name, 0.0))
         for window in recording.windows(WINDOW_S):
@@ -128,15 +129,20 @@ def summarise(recording: Recording) -> Summary:
     return sum_up(recording, loop_figures(recording), axes)
 
 
-def min_steps(recording: Recording) -> dict[str, float]:
+def min_steps(rig_text: str) -> dict[str, float]:
     """Return the smallest change of each axis' setpoint that is a step, in the axis' unit.
 
-    Empty if the recording has no readable rig file: then every change is one.
+    Empty if the text is no rig file, as in an imported recording: then every change is one.
     """
     try:
-        rig = read_rig(recording.documents.get("rig.toml", ""), "rig.toml")
+        rig = read_rig(rig_text, "rig.toml")
     except HilError:
         return {}
+    return min_steps_of(rig)
+
+
+def min_steps_of(rig: Rig) -> dict[str, float]:
+    """Return the smallest change of each axis' setpoint that is a step, in the axis' unit."""
     return {name: MIN_STEP_PART * (axis.max_y - axis.min_y) for name, axis in rig.axes.items()}
 
 

@@ -68,7 +68,7 @@ MAX_RATIO = 1.05
 MAX_PROCESSOR_SHARE = 0.10
 MAX_DELAY_MS = 100.0
 SERVER_NICE, VIEWERS_NICE = 5, 19
-UPDATES_PER_S = 25.0
+UPDATES_PER_S = 30.0
 MAX_LOAD = 0.5
 """Load of the machine before, above which the figures are doubtful."""
 NAMES = ("lateness", "response", "sample to command")

@@ -159,7 +159,7 @@ def main(speed: float, minutes: float) -> int:
         thread = threading.Thread(target=write, args=(feed, speed, duration_s))
         thread.start()
         for place in range(1, int(duration_s / INTERVAL_S) + 1):
-            # Rows arrive 25 times a second: the last ones before the end are a part of a second old.
+            # Rows arrive 30 times a second: the last ones before the end are a part of a second old.
             until_s = place * INTERVAL_S - max(0.1 * speed, 1.0)
             page.wait_for_function(f"hilLive.rows && hilLive.rows.last >= {until_s}", timeout=4e6)
             row = (

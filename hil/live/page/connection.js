@@ -3,7 +3,7 @@
 
 const RETRY_MS = 500, MAX_RETRY_MS = 10000;  // time to the next attempt: twice as long after each
 const OPEN_TIMEOUT_MS = 5000;  // a server that is suspended takes connections and never answers
-const SILENT_MS = 10000;  // an open connection without a message for this long is dead: the server sends 25 a second
+const SILENT_MS = 10000;  // an open connection without a message for this long is dead: the server sends 30 a second
 const STALE_MS = 2000;  // data of this age are not shown as the present
 const STOP_ANSWER_MS = 2000, ANSWER_MS = 10000;  // a request that has no answer after this time is reported
 

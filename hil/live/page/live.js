@@ -67,7 +67,7 @@ class Rows {
 }
 
 const live = window.hilLive = { rows: null, run: null, charts: [], delays_ms: [], received: 0, drawn: 0, last: null };
-const DRAW_MS = 40, LABEL_MS = 200, MAX_DRAW_MS = 500;  // 25 pictures and 5 values a second
+const DRAW_MS = 28, LABEL_MS = 200, MAX_DRAW_MS = 500;  // a picture for each update, and 5 values a second
 const GAP_PERIODS = 10;
 let isPaused = false, isDirty = false, mayOperate = false, isOver = false, isRecording = false;
 let view = [0, 30], cursor_s = null, histograms = null, next_draw_ms = 0, labelled_ms = 0;
@@ -246,7 +246,7 @@ function limitDrawing(start_ms) {
   next_draw_ms = Infinity;
   requestAnimationFrame(() => setTimeout(() => {  // after this picture, its painting and one frame
     const busy_ms = performance.now() - start_ms;
-    next_draw_ms = start_ms + Math.min(Math.max(2 * busy_ms - 40, DRAW_MS - 4), MAX_DRAW_MS);
+    next_draw_ms = start_ms + Math.min(Math.max(2 * busy_ms - 40, DRAW_MS), MAX_DRAW_MS);
   }));
 }
 

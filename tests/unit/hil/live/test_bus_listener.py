@@ -1,17 +1,15 @@
-"""The serving process listens to the bus for rates and load, and the loop has no part in it."""
+"""The serving process counts the frames on the bus, and the loop has no part in it."""
 
-import queue
-import threading
 from pathlib import Path
+from time import monotonic_ns
 
 import pytest
 
 import hil
 from hil.core.frames import Frame
-from hil.core.rig import read_rig
 from hil.links import open_link
 from hil.live import bus_listener
-from hil.live.bus_listener import listen
+from hil.live.bus_listener import BusListener
 
 RIG_TEXT = (Path(hil.__file__).parent / "shipped" / "rig.toml").read_text()
 
@@ -23,28 +21,56 @@ RIG_TEXT = (Path(hil.__file__).parent / "shipped" / "rig.toml").read_text()
         (RIG_TEXT.replace("[bus]\n", "[bus]\nbit_rate = 125000\n"), "% of 125 kbit/s"),
     ],
 )
-def test_frames_on_the_bus_are_counted(rig_text: str, end: str) -> None:
-    reports: queue.Queue[dict[str, str]] = queue.Queue()
+def test_the_frames_that_wait_are_counted_once_a_second(
+    rig_text: str, end: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with open_link("inproc:listener") as link:
-        ended = threading.Event()
-        listen("inproc:listener", rig_text, reports.put, ended)
-        report = {"frames on the bus": "0/s"}
-        while report["frames on the bus"] == "0/s":
+        listener = BusListener("inproc:listener", rig_text)
+        for _ in range(7):
             link.send(Frame(0x080))
-            try:
-                report = reports.get(timeout=0.05)
-            except queue.Empty:
-                continue
-        ended.set()
+        assert listener.take() is None
+        link.send(Frame(0x123))
+        later_ns = monotonic_ns() + bus_listener.INTERVAL_NS
+        monkeypatch.setattr(bus_listener, "monotonic_ns", lambda: later_ns - 300_000_000)
+        assert listener.take() is None
+        listener._next_ns = 0
+        report = listener.take()
+        listener.close()
+    assert report is not None
+    assert report["frames on the bus"] == "8/s"
+    assert report["SYNC, samples, commands"] == "7, 0, 0/s"
     assert report["bus load"].endswith(end)
-    assert not report["SYNC, samples, commands"].startswith("0,")
+    assert listener.take() is None, "closed"
 
 
-def test_a_bus_that_cannot_be_opened_is_not_reported() -> None:
-    bus_listener._listen(
-        "vcan-that-is-not-there", read_rig(RIG_TEXT, "rig.toml"), lambda _counts: None, threading.Event()
-    )
+def test_a_flood_does_not_hold_the_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_listener, "MAX_FRAMES", 5)
+    with open_link("inproc:flooded") as link:
+        listener = BusListener("inproc:flooded", RIG_TEXT)
+        for _ in range(12):
+            link.send(Frame(0x080))
+        taken = []
+        for _ in range(3):
+            listener.take()
+            taken.append(listener._watch.status(monotonic_ns()).bus.frames)
+        listener.close()
+    assert taken == [5, 10, 12]
 
 
-def test_a_rig_file_that_cannot_be_read_is_not_reported() -> None:
-    listen("inproc:listener", "", lambda _counts: None, threading.Event())
+def test_a_bus_that_fails_is_reported_no_more() -> None:
+    with open_link("inproc:failing"):
+        listener = BusListener("inproc:failing", RIG_TEXT)
+        assert listener._link is not None
+        listener._link.close()
+        assert listener.take() is None
+        assert listener.take() is None
+
+
+@pytest.mark.parametrize(
+    ("bus", "rig_text"),
+    [("vcan-that-is-not-there", RIG_TEXT), ("inproc:listener", ""), ("slcan:none", RIG_TEXT)],
+)
+def test_what_cannot_be_listened_to_is_not_reported(bus: str, rig_text: str) -> None:
+    listener = BusListener(bus, rig_text)
+    assert listener.take() is None
+    listener.close()

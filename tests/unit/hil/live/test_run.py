@@ -131,3 +131,24 @@ def test_a_second_move_is_read_by_itself() -> None:
     reading = readings(_rows_of(both, both), [("vertical", "m")], STATES)["vertical"]
     assert reading["kind"] == "StepResponse"
     assert (reading["step_from"], reading["step_to"]) == (0.1, pytest.approx(0.05))
+
+
+def test_a_change_below_the_smallest_step_is_no_step() -> None:
+    """A daemon that holds a position changes the setpoint by about one count of the converter."""
+    setpoint = np.concatenate([np.zeros(100), np.full(400, 0.0002)])
+    rows = _rows_of(setpoint, setpoint)
+    assert readings(rows, [("vertical", "m")], STATES)["vertical"]["kind"] == "StepResponse"
+    with_limit = readings(rows, [("vertical", "m")], STATES, {"vertical": 0.00125})
+    assert with_limit["vertical"]["kind"] == "Tracking"
+
+
+@pytest.mark.parametrize("now_s", [0.9, 1.0, 1.005, 1.0112, 5.37])
+def test_the_server_works_while_the_loop_waits(feed: LiveFeed, run: Run, now_s: float) -> None:
+    assert run.until_idle_s(now_s, 0.03) == 0.03, "nothing is known of the loop yet"
+    run.history.add_rows(np.array([[1.0, 0.0, 0.3, 3.0, 1.0, 0.0, 0.0, 5.0]]))
+    wait_s = run.until_idle_s(now_s, 0.03)
+    assert 0.03 <= wait_s <= 0.03 + 0.0112
+    periods = (now_s + wait_s - 1.0) / 0.0112
+    assert periods % 1.0 == pytest.approx(0.15)
+    following_s = run.until_idle_s(now_s + wait_s + 0.001, 0.03)
+    assert 0.001 + following_s == pytest.approx(3 * 0.0112), "30 times a second"
