@@ -277,10 +277,16 @@ class _Lines:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _TIMEVAL.pack(int(TIMEOUT_S), 0))
             self._socket.connect(os.fspath(path))
             self._greet()
-        except (FileNotFoundError, ConnectionRefusedError):
+        except FileNotFoundError:
             self.close()
             raise NoDaemonError(
                 f"no daemon runs at {path}: start one with `hil daemon`, or give --socket its path"
+            ) from None
+        except ConnectionRefusedError:
+            self.close()
+            raise NoDaemonError(
+                f"no daemon answers at {path}: it was killed, or only its socket process was, which its log "
+                "says; start one with `hil daemon`, or give --socket its path"
             ) from None
         except OSError as error:
             self.close()

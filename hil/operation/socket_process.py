@@ -26,7 +26,9 @@ and wait for each other: the check of a large controller then took 1 s instead o
 def socket_process(listener: socket.socket, facts: Facts) -> Iterator[socket.socket]:
     """Run the socket process, and give the loop's end of the pipe to it.
 
-    Start it before the loop takes real-time rights, because the process inherits them.
+    ``listener`` is closed here, because it is the process' from now on: if the process ends, who connects is
+    refused at once, and does not wait in the kernel's queue for an answer. Start it before the loop takes
+    real-time rights, because the process inherits them.
     """
     ours, theirs = pipe()
     with ours:
@@ -40,6 +42,7 @@ def socket_process(listener: socket.socket, facts: Facts) -> Iterator[socket.soc
                 stdin=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C ends the daemon, which then ends this process.
             )
+            listener.close()
         assert process.stdin is not None
         with contextlib.suppress(BrokenPipeError), process.stdin:
             process.stdin.write(msgspec.json.encode(facts))

@@ -22,8 +22,6 @@ from hil.cli import main
 from hil.core.errors import RequestRefusedError
 from hil.live.history import COLUMNS
 
-pytestmark = pytest.mark.real_time
-
 HIL = [sys.executable, "-m", "hil.cli"]
 PHONE = {"width": 390, "height": 844}
 LAPTOP = {"width": 1366, "height": 768}
@@ -79,6 +77,7 @@ def contents_of(
     return numbers(values).reshape(-1, width), charts, start_ns
 
 
+@pytest.mark.real_time
 def test_what_is_drawn_is_what_is_recorded(page: Page, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     command = [*HIL, "run", "--live", "--duration", "300", "--record", str(path)]
@@ -319,6 +318,7 @@ def test_colours_have_contrast_and_colour_blind_people_can_tell_them_apart(
         assert float(np.linalg.norm(seen[0] - seen[1])) > 25.0
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("viewport", [LAPTOP, SMALL, PHONE], ids=["laptop", "1280 pixels", "phone"])
 def test_the_stop_button_is_always_large_and_there(
     browser: Browser, tmp_path: Path, viewport: dict[str, int]
@@ -354,6 +354,7 @@ def periods_of(socket_path: str) -> int:
     return 0
 
 
+@pytest.mark.real_time
 def test_a_page_beside_a_daemon_shows_every_period_and_those_before_it_was_opened(
     page: Page, tmp_path: Path
 ) -> None:
@@ -383,6 +384,7 @@ def test_a_page_beside_a_daemon_shows_every_period_and_those_before_it_was_opene
     assert np.isfinite(rows[:, 2]).all()
 
 
+@pytest.mark.real_time
 def test_a_page_operates_a_daemon(page: Page, tmp_path: Path) -> None:
     path, at = tmp_path / "run.mcap", str(tmp_path / "socket")
     command = [*HIL, "daemon", "--socket", at, "--live", "--operate", "--record", str(path)]

@@ -19,11 +19,10 @@ from hil.recording.reader import Recording
 from hil.shells.replay import verify
 from hil.views.summary import StepResponse, summarise
 
-pytestmark = pytest.mark.real_time
-
 HIL = [sys.executable, "-m", "hil.cli"]
 
 
+@pytest.mark.real_time
 def test_simulated_rig_in_real_time(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     setpoints = ["--setpoint", "vertical=step:0.05@0.1", "--setpoint", "rotation=minimum-jerk:0.3@0.1/1"]
@@ -43,6 +42,7 @@ def test_simulated_rig_in_real_time(tmp_path: Path) -> None:
     assert set(recording.metadata["rights"]) >= {"SCHED_FIFO", "memory lock"}
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_the_run_with_centred_valves(tmp_path: Path, number: signal.Signals) -> None:
     path = tmp_path / "run.mcap"
@@ -130,6 +130,7 @@ def test_an_existing_recording_is_kept(tmp_path: Path, capsys: pytest.CaptureFix
     assert path.read_bytes() == b"precious"
 
 
+@pytest.mark.real_time
 def test_silent_bus_is_explained(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     command = [*HIL, "run", "--bus", "udp:43999", "--duration", "1", "--record", str(path)]
@@ -212,6 +213,7 @@ def test_rejected_samples_are_explained(tmp_path: Path, capsys: pytest.CaptureFi
     assert "Check the bus" not in output
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("is_wanted", [False, True])
 def test_an_internal_error_ends_the_run_and_is_reported_without_a_traceback(
     tmp_path: Path, is_wanted: bool
@@ -270,6 +272,7 @@ def test_output_that_finds_no_room_is_an_error(tmp_path: Path, arguments: list[s
     assert done.stderr == "hil: output: No space left on device\n"
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize(("run", "closed"), [("--lockstep", ">&-"), ("--linear", "<&- >&- 2>&-")])
 def test_a_run_with_closed_descriptors(tmp_path: Path, run: str, closed: str) -> None:
     path = tmp_path / "run.mcap"
@@ -303,6 +306,7 @@ def test_a_recording_with_the_name_of_a_picture_is_refused(
 HOSTILE = "from pathlib import Path; Path(r'{log}').open('a').write(__name__ + ' '); raise SystemExit(3)"
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("options", [["--duration", "0.5"], ["--lockstep", "--duration", "0.5"]])
 def test_no_process_of_a_run_imports_modules_from_the_working_directory(
     tmp_path: Path, options: list[str]

@@ -54,7 +54,7 @@ def test_the_socket_of_a_daemon_that_was_killed_is_taken_over(tmp_path: Path) ->
     path = tmp_path / "d.sock"
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(path))
-    with pytest.raises(OperationError, match="no daemon runs at"):
+    with pytest.raises(OperationError, match="no daemon answers at"):
         connect(path)
     with listening(path), socket.socket(socket.AF_UNIX) as client:
         client.connect(str(path))
