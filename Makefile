@@ -18,13 +18,10 @@ run: .venv/for-run
 test: .venv/for-test test-packages tests/node/node_modules
 	$(BIN)/ruff check --quiet $(PYTHON_CODE)
 	$(BIN)/ruff format --check --quiet $(PYTHON_CODE)
-	$(BIN)/mypy
-	$(BIN)/python -m pytest -q -n 2 tests/unit
-	$(BIN)/python -m pytest -q -n 2 tests/property tests/fuzz tests/mutants
-	PYTHONPATH=tests $(BIN)/python -m fuzz --inputs 300000
+	$(BIN)/mypy & types=$$!; PYTHONPATH=tests $(BIN)/python -m fuzz --inputs 300000 && wait $$types
+	$(BIN)/python -m pytest -q -n 2 -m "not real_time" tests/acceptance tests/property tests/fuzz tests/mutants tests/unit
 	PYTHONPATH=tests $(BIN)/python -m mutants --sample 150 --seconds 60
 	$(BIN)/hil vcan -- $(BIN)/python -m pytest -q tests/vcan
-	$(BIN)/python -m pytest -q -n 2 -m "not real_time" tests/acceptance
 	$(BIN)/python -m pytest -q -m real_time tests/acceptance
 	$(MAKE) test-examples
 
