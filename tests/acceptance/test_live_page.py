@@ -151,6 +151,23 @@ def test_a_row_counts_as_drawn_after_every_chart_with_it_was_painted(page: Page,
     assert noted > 2
 
 
+def test_an_update_is_drawn_at_once_and_a_large_part_of_the_past_in_the_next_frame(
+    page: Page, playing: str
+) -> None:
+    page.goto(playing)
+    page.wait_for_function("hilLive.drawn > 10")
+    is_drawn = """(count) => {
+        const { rows } = hilLive, last = rows.data.slice((rows.end - 1) * rows.width, rows.end * rows.width);
+        const more = Float64Array.from({ length: count * rows.width }, (_, i) => last[i % rows.width]);
+        next_draw_ms = 0;
+        takeRows(more);
+        return hilLive.drawn === hilLive.received;
+    }"""
+    assert page.evaluate(is_drawn, 3)
+    assert not page.evaluate(is_drawn, 1000)
+    page.wait_for_function("hilLive.drawn === hilLive.received")
+
+
 @pytest.mark.parametrize("viewport", [LAPTOP, SMALL, PHONE], ids=["laptop", "1280 pixels", "phone"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_recording_fits_the_screen(
@@ -414,3 +431,30 @@ def test_a_page_operates_a_daemon(page: Page, tmp_path: Path) -> None:
     assert main(["replay", str(path)]) == 0
     vertical = hil.open_recording(path).axis("vertical")
     assert vertical.setpoint[vertical.running][-1] == pytest.approx(0.02, abs=1e-12)
+
+
+@pytest.mark.real_time
+def test_a_page_says_why_the_loop_is_offline_and_shows_no_old_position(page: Page, tmp_path: Path) -> None:
+    at = str(tmp_path / "socket")
+    command = [*HIL, "daemon", "--socket", at, "--live", "--operate", "--no-record"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        page.goto(re.sub("^page: ", "", process.stdout.readline().strip()))
+        state, reason = page.locator("#state"), page.locator("#fault")
+        expect(state).to_have_text("ready", timeout=60_000)
+        expect(reason).to_be_hidden()
+        jog = page.get_by_role("button", name="Hold to jog")
+        jog.press("Enter")
+        expect(page.locator("#reply")).to_have_text("Hold to jog needs state armed; the state is ready")
+        assert main(["event", "hang:adc", "--socket", at]) == 0
+        expect(state).to_have_text("offline", timeout=60_000)
+        expect(reason).to_contain_text("Offline. ")
+        expect(reason).to_contain_text("adc silent", timeout=60_000)
+        expect(reason).to_contain_text(
+            re.compile("The last good sample is [1-9][0-9]* s old"), timeout=60_000
+        )
+        measured = page.locator(".chart .key", has_text="measured")
+        expect(measured.first).to_have_text("measured –")
+        assert page.evaluate("Number.isNaN(hilLive.charts[0].sources[1].data.v.at(-1))")
+        assert main(["shutdown", "--socket", at]) == 0
+    assert process.returncode == 0

@@ -67,14 +67,18 @@ class Rows {
 }
 
 const live = window.hilLive = { rows: null, run: null, charts: [], delays_ms: [], received: 0, drawn: 0, last: null };
+const FRESH = 4;  // column that is 0 in a period without a good sample
+const MAX_DRAWN_ROWS = 1000;  // more rows at once are drawn in the next frame
+const OLD_SAMPLE_S = 0.5;  // age of the last good sample from which on it is said
 const DRAW_MS = 28, LABEL_MS = 200, MAX_DRAW_MS = 500;  // a picture for each update, and 5 values a second
 const GAP_PERIODS = 10;
 let isPaused = false, isDirty = false, mayOperate = false, isOver = false, isRecording = false;
+let fault = "", readiness = "", fresh_s = null;  // of the run; fresh_s: time of the last good sample
 let view = [0, 30], cursor_s = null, histograms = null, next_draw_ms = 0, labelled_ms = 0;
 
 function take(message) {
   if (message.run) begin(message);
-  if (message.clear) { live.rows.clear(); next_row_s = -Infinity; byId("log").replaceChildren(); }
+  if (message.clear) { live.rows.clear(); fresh_s = null; next_row_s = -Infinity; byId("log").replaceChildren(); }
   if (message.log) message.log.forEach(addLogEntry);
   if (message.status) setStatus(message.status);
   if (message.bus) setCounts("bus", message.bus);
@@ -87,10 +91,13 @@ function take(message) {
 }
 
 function takeRows(values) {
+  const { width } = live.rows;
+  for (let row = values.length - width; row >= 0; row -= width) if (values[row + FRESH]) { fresh_s = values[row]; break; }
   live.rows.add(values);
-  live.received += values.length / live.rows.width;
+  live.received += values.length / width;
   isDirty = true;
-  if (!document.hidden) draw(performance.now());  // now, and not in the next frame: that is when BokehJS paints
+  // Now, and not in the next frame: that is when BokehJS paints. Of a large part of the past, more is on its way.
+  if (!document.hidden && values.length < MAX_DRAWN_ROWS * width) draw(performance.now());
 }
 
 // Begin anew: with the connection's first message, and when another run has begun.
@@ -106,6 +113,7 @@ function begin(message) {
     if (isRecording) resume();
   } else {
     live.run = run;
+    fresh_s = null;
     connection.forgetData();
     live.rows = new Rows(FIXED + 3 * run.axes.length, Math.ceil(HISTORY_S / run.period_s), GAP_PERIODS * run.period_s);
     next_row_s = -Infinity;
@@ -168,7 +176,10 @@ function buildCharts() {
   for (const kind of kinds) {
     live.run.axes.forEach(([name, unit], i) => {
       if (!wanted.includes(name)) return;
-      const r = FIXED + 3 * i, y = r + 1, v = r + 2, column = (c) => (row) => live.rows.at(row, c);
+      const r = FIXED + 3 * i, y = r + 1, v = r + 2;
+      // Without a good sample, a row repeats the position of the last one.
+      const column = (c) => (row) => (c === y && !live.rows.at(row, FRESH) ? NaN : live.rows.at(row, c));
+      const measured = column(y);
       const [lines, columns, of, floor] = {
         position: [[{ label: "setpoint", colour: colours.wanted, dashed: true }, { label: "measured", colour: colours.measured }], [r, y], unit, floors[unit]],
         error: [[{ label: "setpoint − measured", colour: colours.measured }], [r, y], unit, floors[unit]],
@@ -176,7 +187,7 @@ function buildCharts() {
       }[kind];
       const chart = new Chart(place, `${name}, ${KINDS[kind]}`, of, lines, floor, { moved, pointed: setCursor, painted });
       watchVisibility(chart);
-      const values = kind === "error" ? [(row) => live.rows.at(row, r) - live.rows.at(row, y)] : columns.map(column);
+      const values = kind === "error" ? [(row) => live.rows.at(row, r) - measured(row)] : columns.map(column);
       Object.assign(chart, { kind, columns, values, digits: kind === "valve" ? 3 : 4 });
       live.charts.push(chart);
     });
@@ -270,7 +281,7 @@ setInterval(() => {
   const from = Math.max(rows.find(rows.last - Number(byId("span").value)), rows.begin);
   [1, 2].forEach((column, i) => {
     const values = [];
-    for (let row = from; row < rows.end; row += 1) if (rows.at(row, 4) && Number.isFinite(rows.at(row, column))) values.push(rows.at(row, column));
+    for (let row = from; row < rows.end; row += 1) if (rows.at(row, FRESH) && Number.isFinite(rows.at(row, column))) values.push(rows.at(row, column));
     histograms[i].draw(values);
   });
 }, 500);
@@ -293,6 +304,7 @@ function showConnection() {
   else if (!isOpen) setState(live.run ? "connection lost" : "no connection", "lost");
   else if (isStale) setState(connection.isBehind ? "loading" : "no data", "lost");
   else if (rows && rows.length) setState(live.run.states[rows.at(rows.end - 1, 3)]);
+  showReason();
   document.body.classList.toggle("stale", isStale || isOver);
   byId("connection").hidden = !trouble;
   if (byId("trouble").textContent !== trouble) byId("trouble").textContent = trouble;
@@ -301,12 +313,23 @@ function showConnection() {
   if (byId("stop").textContent !== stop) byId("stop").textContent = stop;
 }
 
-function setStatus({ counts = {}, fault, readiness, controllers = {}, recording }) {
+// Say why the axes are not under control: the fault, or what is missing while the loop is offline.
+function showReason() {
+  const { rows } = live, isOffline = byId("state").textContent === "offline";
+  const reason = fault ? `Fault. ${fault}` : isOffline && readiness ? `Offline. ${readiness}` : "";
+  const age_s = fresh_s === null ? 0 : rows.last - fresh_s;
+  byId("fault").hidden = !reason;
+  if (byId("reason").textContent !== reason) byId("reason").textContent = reason;
+  byId("sample-age").textContent = reason && age_s > OLD_SAMPLE_S ? `The last good sample is ${Math.round(age_s)} s old.` : "";
+}
+
+function setStatus({ counts = {}, controllers = {}, recording, ...told }) {
+  fault = told.fault || "";
+  readiness = told.readiness || "";
   const { run } = live, used = Object.entries(controllers).map(([axis, name]) => `${axis}: ${name}`).join(", ");
   const facts = [`bus ${run.bus}`, `rig ${run.rig}`, used && `controllers ${used}`, recording ? `recording ${recording}` : "not recorded"];
   byId("facts").textContent = facts.filter(Boolean).join(" · ");
-  byId("fault").hidden = !fault;
-  if (fault) byId("fault").textContent = `Fault. ${fault}`;
+  showReason();
   const entries = Object.entries({ ...counts, ...(readiness ? { boards: readiness } : {}) });
   setCounts("counts", Object.fromEntries(entries));
 }
@@ -396,12 +419,17 @@ function addRequest(bar, name) {
 function showAllowed(state) {
   for (const [name, button] of requests) {
     const isAllowed = !live.run.states.includes(state) || STATE_OF[name] === state;  // without data the daemon decides
-    button.ariaDisabled = String(!isAllowed);
-    button.title = isAllowed ? "" : `${button.textContent} needs state ${STATE_OF[name]}; the state is ${state}`;
+    setAllowed(button, isAllowed, STATE_OF[name], state);
   }
+  // A jog that is held is itself the state running.
+  if (held) setAllowed(held, !live.run.states.includes(state) || state === "armed" || state === "running", "armed", state);
+}
+function setAllowed(button, isAllowed, needed, state) {
+  button.ariaDisabled = String(!isAllowed);
+  button.title = isAllowed ? "" : `${button.textContent} needs state ${needed}; the state is ${state}`;
 }
 
-let jog = null;  // of the button that is held
+let jog = null, held = null;  // jog of the button that is held
 function buildOperator() {
   if (jog) jog.release();
   const bar = byId("operator");
@@ -417,14 +445,18 @@ function buildOperator() {
   bar.append(axis);
   const setpoint = field("setpoint", { type: "text", size: 12 });
   button("Set", () => ({ request: "setpoint", axis: axis.value, setpoint: setpoint.value }));
-  showAllowed(byId("state").textContent);
   const volts = field("jog, V", { type: "number", step: 0.1, value: 0.5, style: "width: 6em" });
-  const held = document.createElement("button");
+  held = document.createElement("button");
   held.textContent = "Hold to jog";
   bar.append(held);
+  showAllowed(byId("state").textContent);
   // The server refuses a jog whose `beat_s` is old: it may have waited somewhere after the button was released.
   jog = new HeldJog(() => send({ request: "jog", axis: axis.value, offset_v: Number(volts.value), duration_s: 0.2, beat_s: connection.beat_s }));
-  const press = (event) => { event.preventDefault(); jog.press(); };
+  const press = (event) => {
+    event.preventDefault();
+    if (held.ariaDisabled === "true") showReply({ accepted: false, text: held.title });
+    else jog.press();
+  };
   held.addEventListener("pointerdown", press);
   held.addEventListener("keydown", (event) => { if (event.key === " " || event.key === "Enter") press(event); });
   for (const name of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) held.addEventListener(name, () => jog.release());
