@@ -26,7 +26,7 @@ from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState
 from hil.core.rig import Rig
 from hil.lockstep_rig import LockstepRig
-from hil.views.summary import StepResponse, axis_summary, min_steps_of
+from hil.views.summary import StepResponse, axis_summary
 
 PASSED: Final = "pass"
 FAILED: Final = "fail"
@@ -218,9 +218,9 @@ def _problems(
 
 
 def _readings(campaign: Campaign, rig: LockstepRig) -> dict[str, StepResponse]:
-    readings, smallest = {}, min_steps_of(rig.rig)
+    readings = {}
     for criteria in campaign.criteria:
-        found = axis_summary(rig.axis(criteria.axis), smallest[criteria.axis])
+        found = axis_summary(rig.axis(criteria.axis))
         if isinstance(found, StepResponse):
             readings[criteria.axis] = found
     return readings

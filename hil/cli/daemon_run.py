@@ -10,6 +10,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 
 from firmware_sim.simulated_plant import planned_events
 from hil import __version__
@@ -80,9 +81,10 @@ def run_daemon(setup: RunSetup, bus: str, options: argparse.Namespace) -> int:
         def recording() -> str:
             return "" if recordings is None else str(recordings.written_path or "")
 
+        path = None if options.no_record else recording_path(options.record, RESERVED_S, has_figure=False)
         feed, feed_warning = _feed(stack, setup, spec, epoch_offset_ns, recording, options)
         # A page that cannot be served leaves no recording behind.
-        recorder = None if options.no_record else _recorder(setup, spec, link, epoch_offset_ns, options)
+        recorder = None if path is None else _recorder(path, setup, spec, link, epoch_offset_ns, options)
         limits = RotationLimits(options.rotate_bytes, options.rotate_s, options.keep)
         recordings = None if recorder is None else Recordings(recorder, limits)
         log = LogLines()
@@ -179,10 +181,9 @@ def _feed(
 
 
 def _recorder(
-    setup: RunSetup, spec: str, link: Link, epoch_offset_ns: int, options: argparse.Namespace
+    path: Path, setup: RunSetup, spec: str, link: Link, epoch_offset_ns: int, options: argparse.Namespace
 ) -> Recorder:
     """Begin the first recording. Raises RecordingError."""
-    path = recording_path(options.record, RESERVED_S, has_figure=False)
     create_folder_of(path)
     planned = planned_events(options)
     header = run_header(setup, epoch_offset_ns, spec, link.stamp_origin, host_versions(), planned)

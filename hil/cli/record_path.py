@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from pathlib import Path
@@ -49,18 +50,27 @@ def recording_path(given: Path | None, duration_s: float, has_figure: bool) -> P
     return path
 
 
-def create_folder_of(path: Path) -> Path | None:
-    """Create the folder of a recording; return it if it did not exist. Raises RecordingError."""
+def create_folder_of(path: Path) -> list[Path]:
+    """Create the folder of a recording. Return the folders that did not exist, inner ones first.
+
+    Raises RecordingError.
+    """
     folder = path.parent
-    if folder.is_dir():
-        return None
+    created = [each for each in (folder, *folder.parents) if not each.is_dir()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
             f"{path}: the folder {folder} cannot be created: {error.strerror}; see --record"
         ) from None
-    return folder
+    return created
+
+
+def remove_empty(folders: list[Path]) -> None:
+    """Remove the folders that are empty: a run that was refused had created them. Inner ones come first."""
+    with contextlib.suppress(OSError):
+        for folder in folders:
+            folder.rmdir()
 
 
 def picture_of(path: Path) -> Path:

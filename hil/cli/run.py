@@ -18,10 +18,10 @@ from hil.cli.axis_values import by_axis
 from hil.cli.confirmation import confirm_motion
 from hil.cli.launch import run_lockstep, run_realtime
 from hil.cli.quantities import duration_text
-from hil.cli.record_path import create_folder_of, recording_path
+from hil.cli.record_path import create_folder_of, recording_path, remove_empty
 from hil.cli.run_parts import SIMULATED
 from hil.core.check_names import check_overrides
-from hil.core.errors import DocumentError, LinkError, RecordingExistsError
+from hil.core.errors import DocumentError, HilError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, EXAMPLE_POSITION, FORMS
 from hil.host.command_parser import CommandParser, add_controller_option, add_override_option
 from hil.host.text_file import read_text
@@ -137,8 +137,8 @@ def _recorded_run(
     while True:
         path = recording_path(options.record, duration_s, has_figure=options.scenario is not None)
         created = create_folder_of(path)
-        if created is not None and options.record is not None:
-            sys.stderr.write(f"hil run: created the folder {created}\n")
+        if created and options.record is not None:
+            sys.stderr.write(f"hil run: created the folder {created[0]}\n")
         try:
             if options.lockstep:
                 return run_lockstep(setup, plan, path, duration_s, options)
@@ -146,6 +146,9 @@ def _recorded_run(
         except RecordingExistsError:
             if options.record is not None:
                 raise
+        except HilError:
+            remove_empty(created)
+            raise
 
 
 def _exit_status(ending: Ending | None, report: RecorderReport) -> int:

@@ -59,7 +59,7 @@ class CommandParser(argparse.ArgumentParser):
         super().__init__(formatter_class=_ParagraphFormatter, **settings)
         self._given: list[str] = []
         # By argparse's own pattern, -1s and -1e-3 are options, and "expected one argument" is all it says.
-        self._negative_number_matcher = re.compile(r"-\.?\d")
+        self._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None

@@ -50,7 +50,9 @@ class BusListener:
                 received = self._link.receive(0.0)
                 if received is None:
                     break
-                self._watch.receive(received.frame, received.stamp_ns - epoch_offset_ns)
+                # A frame that came before the clock was set back has a stamp in the future.
+                arrived_ns = min(received.stamp_ns - epoch_offset_ns, monotonic_ns())
+                self._watch.receive(received.frame, arrived_ns)
         except (HilError, OSError):
             self.close()
             return None

@@ -258,14 +258,23 @@ class _Scanner:
         )
         known.setdefault(description.id, description)  # type: ignore[arg-type]
 
-    def _describe_unless_misnumbered(self, channel: Channel) -> None:
-        """Take a channel of the summary, unless it has no message and another one already has its topic.
+    def _describe_unless_misnumbered(self, description: Schema | Channel) -> None:
+        """Take a description of the summary, unless it is a known one under a number that nothing uses.
 
         Nothing but the whole summary's CRC protects its number, and two channels with one topic mislead.
         """
-        topics = {known.topic for known in self._found.channels.values()}
-        if channel.id in self._found.counts or channel.topic not in topics:
-            self._describe(channel)
+        found = self._found
+        if isinstance(description, Schema):
+            used = {channel.schema_id for channel in found.channels.values()}
+            is_known = any(
+                (known.name, known.data) == (description.name, description.data)
+                for known in found.schemas.values()
+            )
+        else:
+            used = set(found.counts)
+            is_known = any(known.topic == description.topic for known in found.channels.values())
+        if description.id in used or not is_known:
+            self._describe(description)
 
     def _take_summary(self, start: int) -> None:
         """Take schemas and channels of the summary, and find out whether the file has its end."""
@@ -273,7 +282,7 @@ class _Scanner:
         while (record := record_at(file, start)) is not None:
             try:
                 if record.opcode == Opcode.SCHEMA:
-                    self._describe(parse_schema(self._body(record))[0])
+                    self._describe_unless_misnumbered(parse_schema(self._body(record))[0])
                 elif record.opcode == Opcode.CHANNEL:
                     self._describe_unless_misnumbered(parse_channel(self._body(record))[0])
                 elif record.opcode == Opcode.FOOTER:

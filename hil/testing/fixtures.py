@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -35,8 +35,12 @@ def _options(request: pytest.FixtureRequest, mark: str, known: Iterable[str]) ->
     options: dict[str, Any] = {}
     for found in reversed(list(request.node.iter_markers(mark))):
         options |= found.kwargs
-    options |= getattr(request, "param", {})
-    for name in options:
+    given = getattr(request, "param", {})
+    if not isinstance(given, Mapping):
+        text = f"the parameter of {request.fixturename} is {given!r}, but must be a dict of its options"
+        pytest.fail(text, pytrace=False)
+    options |= given
+    for name in map(str, options):
         if name not in known:
             text = f"{request.fixturename} (mark {mark}) has the options {', '.join(known)}; {name!r} is none"
             pytest.fail(f"{text}{did_you_mean(name, known)}", pytrace=False)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from hil.core.errors import HilError
-from hil.core.rig import Rig, read_rig
+from hil.core.rig import read_rig
 from hil.recording.reader import Recording
 from hil.views.axis_figures import (
     MAX_INITIAL_ERROR,
@@ -38,7 +38,6 @@ __all__ = [
     "axis_summary",
     "losses",
     "min_steps",
-    "min_steps_of",
     "quantiles",
     "sum_up",
     "summarise",
@@ -138,11 +137,6 @@ def min_steps(rig_text: str) -> dict[str, float]:
         rig = read_rig(rig_text, "rig.toml")
     except HilError:
         return {}
-    return min_steps_of(rig)
-
-
-def min_steps_of(rig: Rig) -> dict[str, float]:
-    """Return the smallest change of each axis' setpoint that is a step, in the axis' unit."""
     return {name: MIN_STEP_PART * (axis.max_y - axis.min_y) for name, axis in rig.axes.items()}
 
 

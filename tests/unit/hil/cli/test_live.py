@@ -146,4 +146,15 @@ def test_a_page_that_cannot_be_served_leaves_no_recording(
         options = ["--socket", str(tmp_path / "hil.sock")] if command == "daemon" else ["--duration", "1"]
         with pytest.raises(EnvironmentLackError, match=f"the page cannot be served on 127.0.0.1:{port}"):
             import_module(f"hil.cli.{command}").main(["--live", "--port", port, *options])
-    assert not (tmp_path / "runs").exists() or not list((tmp_path / "runs").iterdir())
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_daemon_that_cannot_record_announces_no_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = tmp_path / "run.mcap"
+    there.write_text("mine")
+    options = ["--live", "--socket", str(tmp_path / "hil.sock"), "--record", str(there)]
+    with pytest.raises(RecordingError, match="exists already"):
+        import_module("hil.cli.daemon").main(options)
+    assert "page" not in capsys.readouterr().out

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.cli.record_path import BYTES_PER_S, OVERHEAD_BYTES, create_folder_of, recording_path
+from hil.cli.record_path import BYTES_PER_S, OVERHEAD_BYTES, create_folder_of, recording_path, remove_empty
 from hil.core.errors import RecordingError
 
 
@@ -62,10 +62,13 @@ def test_a_folder_that_does_not_exist_is_created_and_reported() -> None:
     path = recording_path(Path("a/b/run.mcap"), 10.0, False)
     assert path == Path("a/b/run.mcap")
     assert not Path("a").exists()
-    assert create_folder_of(path) == Path("a/b")
+    created = create_folder_of(path)
+    assert created == [Path("a/b"), Path("a")]
     assert Path("a/b").is_dir()
-    assert create_folder_of(path) is None
-    assert create_folder_of(Path("run.mcap")) is None
+    assert create_folder_of(path) == create_folder_of(Path("run.mcap")) == []
+    Path("a/file").touch()
+    remove_empty(created)
+    assert [found.name for found in Path("a").iterdir()] == ["file"]
 
 
 def test_a_folder_that_cannot_be_created() -> None:

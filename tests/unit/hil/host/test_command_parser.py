@@ -46,7 +46,8 @@ def test_an_error_is_one_sentence(
 def test_valid_arguments_are_parsed() -> None:
     options = make_parser().parse_args(["--bus", "b", "--seed", "3", "f"])
     assert (options.bus, options.seed, options.file) == ("b", 3, "f")
-    assert make_parser().parse_args(["--bus", "-1e-3"]).bus == "-1e-3"
+    for value in ("-1e-3", "-.5s", "-inf", "-nan"):
+        assert make_parser().parse_args(["--bus", value]).bus == value
     assert make_parser().parse_args(["--bus", "b", "--", "--not-an-option"]).file == "--not-an-option"
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import hil
 from hil.core.frames import Frame
-from hil.links import open_link
+from hil.links import Received, open_link
 from hil.live import bus_listener
 from hil.live.bus_listener import BusListener
 
@@ -63,12 +63,39 @@ def test_a_bus_that_fails_is_reported_no_more() -> None:
         assert listener._link is not None
         listener._link.close()
         assert listener.take() is None
+        assert listener._link is None
         assert listener.take() is None
+
+
+def test_frames_from_before_the_clock_was_set_back_are_counted_once() -> None:
+    with open_link("inproc:clock") as link:
+        listener = BusListener("inproc:clock", RIG_TEXT)
+        assert listener._link is not None
+        receive, hour_ns = listener._link.receive, 3600 * 10**9
+
+        def receive_late(timeout_s: float) -> Received | None:
+            received = receive(timeout_s)
+            return None if received is None else received._replace(stamp_ns=received.stamp_ns + hour_ns)
+
+        listener._link.receive = receive_late  # type: ignore[method-assign]
+        for _ in range(5):
+            link.send(Frame(0x080))
+        listener.take()
+        later_ns = monotonic_ns() + bus_listener.INTERVAL_NS
+        assert listener._watch.status(later_ns).bus.frames_per_s == 0.0
+        listener.close()
+
+
+def test_a_serial_adapter_is_left_to_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(bus_listener, "open_link", lambda bus, _bit_rate: opened.append(bus))
+    assert BusListener("slcan:/dev/ttyACM0", RIG_TEXT).take() is None
+    assert opened == []
 
 
 @pytest.mark.parametrize(
     ("bus", "rig_text"),
-    [("vcan-that-is-not-there", RIG_TEXT), ("inproc:listener", ""), ("slcan:none", RIG_TEXT)],
+    [("vcan-that-is-not-there", RIG_TEXT), ("inproc:listener", "")],
 )
 def test_what_cannot_be_listened_to_is_not_reported(bus: str, rig_text: str) -> None:
     listener = BusListener(bus, rig_text)

@@ -9,6 +9,7 @@ import pytest
 from support.recorded_runs import PERIOD_S, following, lag, record_run, step
 
 import hil
+from hil.cli import main
 from hil.core.errors import EnvironmentLackError
 from hil.live import address, playback
 from hil.live.address import LOOPBACK, open_address
@@ -92,6 +93,16 @@ def test_the_last_step_is_read_as_in_the_summary(
     assert found["kind"] == "StepResponse"
     assert found["settling_s"] == pytest.approx(whole.settling_s, abs=0.012)
     assert (found["step_from"], found["step_to"]) == (whole.step_from, whole.step_to)
+
+
+def test_a_recording_says_how_small_a_step_is(tmp_path: Path, clock: mock.Mock) -> None:
+    path = tmp_path / "hold.mcap"
+    assert main(["run", "--lockstep", "--duration", "1", "--no-plot", "--record", str(path)]) == 0
+    found = Playback([path])
+    assert found.min_steps["vertical"] == pytest.approx(0.005 * 0.3)
+    with mock.patch.object(playback, "readings", return_value={}) as read:
+        PlaybackSource(found).take()
+    assert read.call_args.args[-1] == found.min_steps
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,12 @@
 """What the serving process knows of a run: all that is in the feed, and no more than a bounded part of it."""
 
+import dataclasses
 import json
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from support.live_feeds import STATES, cycle, gateway, make_feed, write_periods
+from support.live_feeds import RUN, STATES, cycle, gateway, make_feed, write_periods
 
 from hil.core.output import LogEntry, Severity
 from hil.live.feed import STATUS_PERIODS, LiveFeed
@@ -152,3 +153,19 @@ def test_the_server_works_while_the_loop_waits(feed: LiveFeed, run: Run, now_s: 
     assert periods % 1.0 == pytest.approx(0.15)
     following_s = run.until_idle_s(now_s + wait_s + 0.001, 0.03)
     assert 0.001 + following_s == pytest.approx(3 * 0.0112), "30 times a second"
+
+
+def test_the_page_reads_no_step_from_a_change_by_one_count(run: Run) -> None:
+    setpoint = np.concatenate([np.zeros(100), np.full(400, 0.0002)])
+    run.history.add_rows(_rows_of(setpoint, setpoint))
+    run.update_readings()
+    assert run.readings["vertical"]["kind"] == "Tracking"
+
+
+def test_the_bus_is_left_when_the_run_ends() -> None:
+    feed = make_feed(dataclasses.replace(RUN, bus="inproc:run"))
+    run = Run(FeedReader(feed.path))
+    assert run._bus._link is not None
+    feed.close()
+    run.update()
+    assert run.is_over and run._bus._link is None

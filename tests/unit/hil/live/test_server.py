@@ -19,7 +19,7 @@ from hil.live.current_run import CurrentRun
 from hil.live.feed import STATUS_PERIODS
 from hil.live.run import MISSED
 from hil.live.run_source import MAX_ROWS, RunSource
-from hil.live.server import application
+from hil.live.server import LAST_UPDATES_S, RunUpdates, application
 
 TOKEN = "correct"
 patient = gen_test(timeout=60.0)
@@ -303,3 +303,48 @@ class LivePage(AsyncHTTPTestCase):
         while not self.operator.cancelled:
             await asyncio.sleep(0)
         assert self.operator.cancelled == ["jog"]
+
+
+def updates_of(current: mock.Mock, viewers: set[object], operator: mock.Mock | None = None) -> RunUpdates:
+    app = mock.Mock(settings={"viewers": viewers})
+    current.run.until_idle_s.return_value = 0.0336
+    return RunUpdates(app, current, operator, mock.Mock())
+
+
+def test_an_update_that_fails_does_not_end_the_updates() -> None:
+    current = mock.Mock()
+    current.update.side_effect = OSError("no room")
+    updates = updates_of(current, set())
+    with pytest.raises(OSError, match="no room"):
+        updates.update()
+    updates._loop.call_later.assert_called_once_with(0.0336, updates.update)  # type: ignore[attr-defined]
+
+
+def test_readings_are_made_once_a_second_and_for_viewers_alone() -> None:
+    current = mock.Mock(is_followed=True)
+    current.run.is_over = False
+    updates = updates_of(current, set())
+    for _ in range(3):
+        updates.update()
+    updates._loop.add_callback.assert_called_once_with(updates._update_readings)  # type: ignore[attr-defined]
+    updates._update_readings()
+    current.run.update_readings.assert_not_called()
+    updates._app.settings["viewers"].add(object())
+    updates._update_readings()
+    current.run.update_readings.assert_called_once_with()
+
+
+def test_after_the_last_run_the_server_stops_and_the_operator_is_released() -> None:
+    current, operator = mock.Mock(is_followed=False), mock.Mock()
+    current.run.is_over = False
+
+    def end() -> bool:
+        current.run.is_over = True
+        return True
+
+    current.update.side_effect = end
+    updates = updates_of(current, set(), operator)
+    updates.update()
+    operator.disconnect.assert_called_once_with()
+    stop = mock.call(LAST_UPDATES_S, updates._loop.stop)
+    assert stop in updates._loop.call_later.call_args_list  # type: ignore[attr-defined]

@@ -264,6 +264,27 @@ def test_a_channel_with_a_wrong_number_in_the_summary_is_left_out(
     assert list(new.entries()) == list(recording.entries())
 
 
+def test_a_schema_with_a_wrong_number_in_the_summary_is_left_out(path: Path, tmp_path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    name = content.rindex(b"hil_msgs/msg/Cycle")
+    assert content[name - 6] == 3  # number of the schema, before the length of its name
+    content[name - 6] = 35
+    new, _ = saved(bytes(content), tmp_path)
+    with new.path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert sorted(summary.schemas) == [1, 2, 3, 4, 5, 6]
+
+
+def test_channels_that_only_the_summary_describes_are_saved(path: Path, tmp_path: Path) -> None:
+    """The first chunk, which describes them too, is lost; some of them have no message after it."""
+    content = bytearray(path.read_bytes())
+    content[chunk_starts(content)[0] + 60] ^= 1
+    new, result = saved(bytes(content), tmp_path)
+    assert len(result.lost) == 1
+    assert set(new.counts) == set(Recording(path).counts)
+
+
 def test_an_existing_file_is_not_overwritten(path: Path, tmp_path: Path) -> None:
     output = tmp_path / "there.mcap"
     output.write_text("mine")
