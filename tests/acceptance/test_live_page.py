@@ -448,7 +448,7 @@ def test_a_page_says_why_the_loop_is_offline_and_shows_no_old_position(page: Pag
         expect(page.locator("#reply")).to_have_text("Hold to jog needs state armed; the state is ready")
         assert main(["event", "hang:adc", "--socket", at]) == 0
         expect(state).to_have_text("offline", timeout=60_000)
-        expect(reason).to_contain_text("Offline. ")
+        expect(reason).to_contain_text("Offline: ")
         expect(reason).to_contain_text("adc silent", timeout=60_000)
         expect(reason).to_contain_text(
             re.compile("The last good sample is [1-9][0-9]* s old"), timeout=60_000

@@ -316,7 +316,8 @@ function showConnection() {
 // Say why the axes are not under control: the fault, or what is missing while the loop is offline.
 function showReason() {
   const { rows } = live, isOffline = byId("state").textContent === "offline";
-  const reason = fault ? `Fault. ${fault}` : isOffline && readiness ? `Offline. ${readiness}` : "";
+  const sentence = (text) => (text.endsWith(".") ? text : `${text}.`);
+  const reason = fault ? `Fault. ${sentence(fault)}` : isOffline && readiness ? `Offline: ${sentence(readiness)}` : "";
   const age_s = fresh_s === null ? 0 : rows.last - fresh_s;
   byId("fault").hidden = !reason;
   if (byId("reason").textContent !== reason) byId("reason").textContent = reason;
