@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
+import textwrap
 from collections.abc import Iterable
 
 import msgspec
@@ -25,6 +27,8 @@ that it was sent and it did not arrive. A value is unknown before the first samp
 UP_AND_CLEAR = "\x1b[{lines}F\x1b[J"
 """Terminal sequence that goes up by some lines and erases what is below."""
 
+INDENT = 10
+"""Number of columns before the text of a line."""
 OLD_S = 0.1
 """Age of the last good sample from which on the status says it."""
 MIN_INTERVAL_S, MAX_INTERVAL_S = 0.05, 60.0
@@ -100,10 +104,22 @@ def show_live(looks: Iterable[Status]) -> Status | None:
             sys.stdout.write(UP_AND_CLEAR.format(lines=shown))
         sys.stdout.write("".join(map(_log_text, status.log)))
         lines = status_lines(status)
+        if is_terminal:  # the cursor goes up by rows of the terminal, of which a long line takes several
+            lines = _wrapped(lines, shutil.get_terminal_size().columns)
         shown = len(lines)
         sys.stdout.write("\n".join(lines) + "\n")
         sys.stdout.flush()
     return status
+
+
+def _wrapped(lines: list[str], columns: int) -> list[str]:
+    """Return the lines in rows of at most ``columns`` characters, the further ones indented."""
+    indent = " " * min(INDENT, columns // 2)
+    return [
+        row
+        for line in lines
+        for row in textwrap.wrap(line, columns, subsequent_indent=indent, break_on_hyphens=False)
+    ]
 
 
 def _log_text(line: LogLine) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -448,3 +449,18 @@ def test_the_status_says_that_positions_are_old() -> None:
     )
     for age_s in (None, 0.0224):
         assert not any(line.startswith("samples") for line in status_lines(status(sample_age_s=age_s)))
+
+
+def test_a_long_fault_does_not_push_the_status_up_on_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "80")
+    fault = "adc: no good sample for 5 periods, limit 5 ; " + "check the cable " * 20
+    show_live([status(state="fault", fault=fault), status(state="fault", fault=fault)])
+    first, second = capsys.readouterr().out.split("\x1b[", 1)
+    rows = first.splitlines()
+    assert max(map(len, rows)) <= 80
+    assert second.startswith(f"{len(rows)}F"), "up to the first row"
+    assert "fault     adc: no good sample" in first
+    assert any(row.startswith("          check the cable") for row in rows)
