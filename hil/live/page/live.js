@@ -324,10 +324,11 @@ function showReason() {
   byId("sample-age").textContent = reason && age_s > OLD_SAMPLE_S ? `The last good sample is ${Math.round(age_s)} s old.` : "";
 }
 
-function setStatus({ counts = {}, controllers = {}, recording, ...told }) {
-  fault = told.fault || "";
-  readiness = told.readiness || "";
-  const { run } = live, used = Object.entries(controllers).map(([axis, name]) => `${axis}: ${name}`).join(", ");
+function setStatus(status) {
+  const { run } = live, { counts = {}, controllers = {}, recording } = status;
+  fault = status.fault || "";
+  readiness = status.readiness || "";
+  const used = Object.entries(controllers).map(([axis, name]) => `${axis}: ${name}`).join(", ");
   const facts = [`bus ${run.bus}`, `rig ${run.rig}`, used && `controllers ${used}`, recording ? `recording ${recording}` : "not recorded"];
   byId("facts").textContent = facts.filter(Boolean).join(" · ");
   showReason();
