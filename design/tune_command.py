@@ -99,6 +99,8 @@ def _tune(options: argparse.Namespace) -> int:
     from design.output.progress import progress_bars
     from design.output.results import write_design
     from design.output.tuning_report import print_tuning, write_tuning_report
+    from hil.links.opening import check_name
+    from hil.shells.real_bus import check_interface
     from hil.shells.run_setup import load_rig
 
     console = Console(highlight=False, soft_wrap=True, markup=False)
@@ -111,6 +113,9 @@ def _tune(options: argparse.Namespace) -> int:
     job = _job(options)
     tuning.check(job)
     _check_terminal(options)
+    if job.bus is not None and job.bus != "sim":
+        check_name(job.bus)
+        check_interface(job.bus)
     directory: Path = options.out or Path("tuning") / job.axis
     resumed = tuning.claim_folder(directory, job)
 

@@ -36,6 +36,8 @@ from design.tuning_experiments import (
 )
 from hil.core.documents import Document, from_json, from_toml, to_json
 from hil.core.errors import DocumentError, HilError
+from hil.core.excitation import Prbs
+from hil.core.experiment import Experiment, Origins, check_experiment
 from hil.host.text_file import read_text
 
 if TYPE_CHECKING:
@@ -112,15 +114,22 @@ def check(job: Job) -> None:
     from design.inputs import load_design
     from hil.shells.run_setup import load_controller, load_rig
 
+    _check_values(job)
     parse_structure(job.structure)
     if job.design is not None:
         load_design(job.design)
     if job.controller is not None:
         load_controller(job.controller)
-    axis = load_rig(job.rig).axes[job.axis]
+    rig = load_rig(job.rig)
+    axis = rig.axes[job.axis]
     low, high = axis.fence_limits
     half = 0.5 * (job.step if job.step is not None else DEFAULT_STEP[axis.unit])
     for condition in job.conditions:
+        check_experiment(
+            _experiment(job, condition),
+            rig,
+            Origins("--axis", f"condition {condition.name}: centre", "--amplitude"),
+        )
         centre = condition.centre
         if not low <= centre - abs(half) <= centre + abs(half) <= high:
             raise DocumentError(
@@ -132,6 +141,27 @@ def check(job: Job) -> None:
                 f"condition {condition.name}: events happen to the simulated arm only; on {job.bus}, give an "
                 "instruction that says what to do to the rig"
             )
+
+
+def _check_values(job: Job) -> None:
+    """Raise DocumentError for a value that no experiment can have, whatever the rig."""
+    for option, value, unit in (("--amplitude", job.amplitude, "V"), ("--duration", job.duration_s, "s")):
+        if not value > 0.0:
+            raise DocumentError(f"{option}: {value:g} {unit} is not over 0 {unit}")
+    if job.step == 0.0:
+        raise DocumentError("--step: a step of 0 shows no response; give the size of a step, or omit --step")
+
+
+def _experiment(job: Job, condition: Condition) -> Experiment:
+    """Return the experiment that ``hil collect`` runs for :func:`collect_command`."""
+    return Experiment(
+        format="hil-experiment",
+        version=1,
+        axis=job.axis,
+        mode="open loop",
+        signal=Prbs(job.amplitude, job.duration_s),
+        centre=condition.centre,
+    )
 
 
 def claim_folder(directory: Path, job: Job) -> bool:

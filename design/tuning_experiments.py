@@ -154,7 +154,8 @@ def run_experiment(path: Path, command: list[str]) -> None:
     status, said = _run([*command, *target, "--yes"], captured="--lockstep" in command)
     if status != 0:
         raise ExperimentError(
-            f"`hil {' '.join(command)}` ended with exit status {status}; its recording is {partial}"
+            f"`hil {' '.join(command)}` ended with exit status {status}"
+            + (f"; its recording is {partial}" if partial.exists() else "")
             + (f":\n{said}" if said else "")
         )
     if plot.exists():

@@ -117,7 +117,9 @@ FROM_HIL_FOR_DESIGN = (
     "hil.recording",
     "hil.host.text_file",
     "hil.host.command_parser",
+    "hil.links.opening",
     "hil.views.summary",
+    "hil.shells.real_bus",
     "hil.shells.run_setup",
 )
 FROM_HIL_FOR_FIRMWARE = {

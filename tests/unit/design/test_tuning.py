@@ -74,6 +74,57 @@ class TestResultsFolder:
             claim_folder(tmp_path, JOB)
 
 
+class TestWhatIsCheckedFirst:
+    """A wrong value ends the command with status 2 before a folder exists."""
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (["--lockstep", "--duration", "-5"], "--duration: -5 s is not over 0 s"),
+            (["--lockstep", "--duration", "0.001"], "duration 0.001 s is 0 periods"),
+            (["--lockstep", "--duration", "1e8"], "give 2 to 2000000 periods"),
+            (["--lockstep", "--amplitude", "0"], "--amplitude: 0 V is not over 0 V"),
+            (
+                ["--lockstep", "--amplitude", "50"],
+                "hil tune: --amplitude: the excitation reaches 50 V, limit 4.9996 V",
+            ),
+            (["--lockstep", "--step", "0"], "--step: a step of 0 shows no response"),
+            (["--bus", "can9", "--yes"], "can9: this machine has no interface can9"),
+            (["--bus", "foo:bar", "--yes"], "'foo:bar' names no bus"),
+        ],
+    )
+    def test_a_wrong_value_leaves_no_folder(
+        self, options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        out = tmp_path / "out"
+        assert main(["tune", "--axis", "vertical", *options, "--out", str(out)]) == 2
+        assert message in capsys.readouterr().err
+        assert not out.exists()
+
+    def test_a_wrong_value_is_reported_before_the_difference_to_an_earlier_tuning(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        folder = with_experiment(tmp_path)
+        arguments = ["tune", "--axis", "vertical", "--lockstep", "--duration", "-5", "--out", str(folder)]
+        assert main(arguments) == 2
+        assert capsys.readouterr().err == "hil tune: --duration: -5 s is not over 0 s\n"
+
+    @pytest.mark.parametrize("is_recorded", [False, True])
+    def test_a_failure_names_the_recording_only_if_it_exists(
+        self, is_recorded: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def fail(_arguments: list[str], *, captured: bool) -> tuple[int, str]:
+            if is_recorded:
+                (tmp_path / "partial-1.mcap").write_bytes(b"")
+            return 2, "no bus"
+
+        monkeypatch.setattr(tuning_experiments, "_run", fail)
+        with pytest.raises(tuning_experiments.ExperimentError) as failed:
+            tuning_experiments.run_experiment(tmp_path / "1.mcap", ["collect", "--lockstep"])
+        named = f"; its recording is {tmp_path}/partial-1.mcap" if is_recorded else ""
+        assert str(failed.value) == f"`hil collect --lockstep` ended with exit status 2{named}:\nno bus"
+
+
 class TestSetpointOfAVerification:
     SETTLING_S = 1.2
     STEP_S = APPROACH_S + REST_S + SETTLING_S
