@@ -13,6 +13,22 @@ from hil.host.command_parser import CommandParser, number
 if TYPE_CHECKING:
     from hil.conversion.export import Format
 
+EPILOG = """\
+columns of the signals:
+  state              0 offline, 1 ready, 2 armed, 3 running, 4 fault
+  running            1 while the controllers move the valves: state 3
+  fresh              0: no good sample in this period, the signals are older
+  AXIS.output_v      output of the controller before the limits, relative to
+                     the valve's centre voltage
+  AXIS.command_v     valve voltage after the limits, as it was commanded
+  AXIS.phase         phase of `hil collect`: 0 none, 1 approach, 2 settle,
+                     3 excited, 4 recover, 5 return, 6 done
+
+The names of states and phases are also in the metadata: of the fields in
+parquet (names), in the struct names in mat (names.state.running is 3), and in
+the comments of the channels in mf4.
+"""
+
 SIGNAL_FORMATS = ("csv", "parquet", "mat", "mf4")
 FRAME_FORMATS = ("candump", "asc", "blf", "mf4-bus")
 MIN_RESAMPLE_S = 1e-6
@@ -31,6 +47,7 @@ def parser() -> CommandParser:
         "existing file is overwritten.\n\n"
         "parquet needs pyarrow: pip install 'pneumatic-hil[parquet]'. mf4 and mf4-bus need asammdf: "
         "pip install 'pneumatic-hil[mf4]'.",
+        epilog=EPILOG,
     )
     command.add_argument("recording", type=Path, metavar="FILE", help="recording of `hil run`")
     command.add_argument(

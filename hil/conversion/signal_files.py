@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,8 @@ def write_csv(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) ->
 def write_parquet(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) -> int:
     """Write a Parquet file with one row group for each block, and return the number of rows.
 
-    The metadata of each field has its unit. Memory is bounded by one block. Raises EnvironmentLackError
+    The metadata of each field has its ``unit``, and for states and phases the ``names`` of the numbers as a
+    JSON object, such as ``{"0": "offline"}``. Memory is bounded by one block. Raises EnvironmentLackError
     without pyarrow.
     """
     arrow = optional_module("pyarrow", "parquet", "writing Parquet")
@@ -46,7 +48,7 @@ def write_parquet(path: Path, columns: Sequence[Column], blocks: Iterable[Block]
         arrow.field(
             column.name,
             arrow.from_numpy_dtype(np.dtype(column.type)),
-            metadata={"unit": column.unit} if column.unit else None,
+            metadata=_field_metadata(column) or None,
         )
         for column in columns
     ]
@@ -62,19 +64,28 @@ def write_parquet(path: Path, columns: Sequence[Column], blocks: Iterable[Block]
     return rows
 
 
+def _field_metadata(column: Column) -> dict[str, str]:
+    """Return the metadata of a Parquet field."""
+    unit = {"unit": column.unit} if column.unit else {}
+    return unit | ({"names": json.dumps(dict(column.names))} if column.names else {})
+
+
 def write_mat(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) -> int:
     """Write a MAT file, and return the number of rows.
 
     The columns that all axes share are column vectors; each axis is a struct of column vectors, and ``units``
-    is a struct with the same fields. The whole table is in memory.
+    is a struct with the same fields. The struct ``names`` has the numbers of states and phases by name, such
+    as ``names.state.running``. The whole table is in memory.
     """
     from scipy.io import savemat
 
     table = _whole(columns, blocks)
-    content: dict[str, Any] = {"units": {}}
+    content: dict[str, Any] = {"units": {}, "names": {}}
     for column in columns:
         axis, _, signal = column.name.rpartition(".")
         values = table[column.name].reshape(-1, 1)
+        if column.names:
+            content["names"][signal] = {name: value for value, name in column.names.items()}
         if axis:
             content.setdefault(axis, {})[signal] = values
             content["units"].setdefault(axis, {})[signal] = column.unit
@@ -88,7 +99,8 @@ def write_mat(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) ->
 def write_mf4(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) -> int:
     """Write an MF4 file with one channel for each column, and return the number of rows.
 
-    The time of the file's header is that of the first row. The whole table is in memory. Raises
+    The comment of a channel has the names of states and phases. The time of the file's header is that of the
+    first row. The whole table is in memory. Raises
     EnvironmentLackError without asammdf.
     """
     asammdf = optional_module("asammdf", "mf4", "writing MF4")
@@ -96,7 +108,7 @@ def write_mf4(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) ->
     time_s = table["time_s"]
     start_s = float(time_s[0]) if len(time_s) else 0.0
     channels = [
-        asammdf.Signal(table[c.name], time_s - start_s, unit=c.unit, name=c.name)
+        asammdf.Signal(table[c.name], time_s - start_s, unit=c.unit, name=c.name, comment=_legend(c))
         for c in columns
         if c.name != "time_s"
     ]
@@ -106,6 +118,11 @@ def write_mf4(path: Path, columns: Sequence[Column], blocks: Iterable[Block]) ->
         file.append(channels, comment="pneumatic-hil")
         save_mf4(file, path)
     return len(time_s)
+
+
+def _legend(column: Column) -> str:
+    """Return the names of a column's numbers in words, such as ``0 offline, 1 ready``."""
+    return ", ".join(f"{value} {name}" for value, name in column.names.items())
 
 
 def save_mf4(file: Any, path: Path) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -51,6 +52,8 @@ class Column(NamedTuple):
     """Unit as written in metadata: s, ns, V, m or rad; empty for numbers and flags."""
     type: str
     """Name of the numpy type."""
+    names: Mapping[int, str] = MappingProxyType({})
+    """Meanings of the numbers of a state or a phase, by number; empty for other columns."""
 
 
 class Selection(NamedTuple):
@@ -81,12 +84,13 @@ def chosen_axes(recording: Recording, selection: Selection) -> tuple[str, ...]:
 
 def columns_of(recording: Recording, selection: Selection) -> tuple[Column, ...]:
     """Return the columns of the exported table: those of all axes, then those of each axis."""
-    columns = [Column(*common) for common in _COMMON]
+    names = {"state": recording.state_names, "phase": recording.phase_names}
+    columns = [Column(*common, names.get(common[0], {})) for common in _COMMON]
     for axis in chosen_axes(recording, selection):
         for signal, unit, kind in _OF_AXIS:
             named = recording.axes[axis] if unit is None else unit
             suffix = f"_{named.lower()}" if named else ""
-            columns.append(Column(f"{axis}.{signal}{suffix}", named, kind))
+            columns.append(Column(f"{axis}.{signal}{suffix}", named, kind, names.get(signal, {})))
     return tuple(columns)
 
 

@@ -147,10 +147,25 @@ class Recording:
     @property
     def state_names(self) -> dict[int, str]:
         """Names of the life cycle's states, by number, from the definitions in the file."""
-        constants = re.findall(
-            r"^uint8 (\w+)=(\d+)$", self._contents.definition(CYCLE_TOPIC), flags=re.MULTILINE
-        )
-        return {int(value): name.lower() for name, value in constants}
+        return self._constants(CYCLE_TOPIC)
+
+    @property
+    def phase_names(self) -> dict[int, str]:
+        """Names of the phases of an experiment, by number, from the definitions in the file.
+
+        Empty for a recording without an axis.
+        """
+        prefix = "phase_"
+        return {
+            value: name.removeprefix(prefix)
+            for axis in list(self.axes)[:1]
+            for value, name in self._constants(AXIS_TOPIC + axis, prefix).items()
+        }
+
+    def _constants(self, topic: str, prefix: str = "") -> dict[int, str]:
+        """Return the names of the constants in the definition of a topic, in lower case, by value."""
+        constants = re.findall(r"^uint8 (\w+)=(\d+)$", self._contents.definition(topic), flags=re.MULTILINE)
+        return {int(value): name.lower() for name, value in constants if name.lower().startswith(prefix)}
 
     @cached_property
     def start_ns(self) -> int:

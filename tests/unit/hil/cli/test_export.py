@@ -12,8 +12,10 @@ from mcap.writer import Writer
 from support.recorded_runs import record_run
 
 from hil.cli import main
-from hil.cli.export import FRAME_FORMATS, SIGNAL_FORMATS
+from hil.cli.export import FRAME_FORMATS, SIGNAL_FORMATS, parser
 from hil.conversion.export import Format
+from hil.core.life_cycle import LifeCycleState
+from hil.core.phase import Phase
 from hil.recording import open_recording
 
 
@@ -38,6 +40,14 @@ def failed(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 def test_the_formats_of_the_help_are_all_formats() -> None:
     assert (*SIGNAL_FORMATS, *FRAME_FORMATS) == tuple(Format)
     assert {name for name in Format if name.has_frames} == set(FRAME_FORMATS)
+
+
+def test_the_help_names_every_state_and_phase() -> None:
+    text = " ".join(parser().format_help().split())
+    assert ", ".join(f"{state.value} {state.name.lower()}" for state in LifeCycleState) in text
+    assert ", ".join(f"{phase.value} {phase.name.lower()}" for phase in Phase) in text
+    assert "output_v output of the controller before the limits" in text
+    assert "command_v valve voltage after the limits" in text
 
 
 def test_the_file_is_beside_the_recording(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
@@ -72,7 +73,7 @@ def test_parquet_read_by_pyarrow_is_exact_and_has_units(run: Recording, tmp_path
         assert np.array_equal(read, values), name
     assert table.schema.field("rotation.position_rad").metadata == {b"unit": b"rad"}
     assert table.schema.field("vertical.command_v").metadata == {b"unit": b"V"}
-    assert table.schema.field("state").metadata is None
+    assert table.schema.field("fresh").metadata is None
 
 
 def test_mat_read_by_scipy_is_exact_and_has_units(run: Recording, tmp_path: Path) -> None:
@@ -96,6 +97,32 @@ def test_mf4_read_by_asammdf_is_exact_and_has_units(run: Recording, tmp_path: Pa
         assert file.get("vertical.position_m").unit == "m"
         assert file.get("rotation.command_v").unit == "V"
         assert file.header.start_time.timestamp() == pytest.approx(columns["epoch_ns"][0] / 1e9, abs=1e-5)
+
+
+STATES = {0: "offline", 1: "ready", 2: "armed", 3: "running", 4: "fault"}
+PHASES = {0: "none", 1: "approach", 2: "settle", 3: "excited", 4: "recover", 5: "return", 6: "done"}
+
+
+def test_parquet_has_the_names_of_states_and_phases(run: Recording, tmp_path: Path) -> None:
+    schema = parquet.read_schema(exported(run, tmp_path, Format.PARQUET))
+    for column, names in (("state", STATES), ("vertical.phase", PHASES)):
+        read = json.loads(schema.field(column).metadata[b"names"])
+        assert read == {str(value): name for value, name in names.items()}
+
+
+def test_mat_has_the_numbers_of_states_and_phases_by_name(run: Recording, tmp_path: Path) -> None:
+    content = loadmat(exported(run, tmp_path, Format.MAT), simplify_cells=True)
+    assert content["names"] == {
+        "state": {name: value for value, name in STATES.items()},
+        "phase": {name: value for value, name in PHASES.items()},
+    }
+
+
+def test_mf4_has_the_names_of_states_and_phases_in_comments(run: Recording, tmp_path: Path) -> None:
+    with asammdf.MDF(exported(run, tmp_path, Format.MF4)) as file:
+        assert file.get("state").comment == "0 offline, 1 ready, 2 armed, 3 running, 4 fault"
+        assert file.get("rotation.phase").comment.startswith("0 none, 1 approach, 2 settle, 3 excited")
+        assert file.get("rotation.command_v").comment == ""
 
 
 def test_a_selection_of_axes_and_time(run: Recording, tmp_path: Path) -> None:
