@@ -99,6 +99,11 @@ class LoopFigures:
         return self.first_s if self._running_s is None else self._running_s[0]
 
     @property
+    def origin(self) -> str:
+        """What happened at :attr:`start_s`, in words."""
+        return "the recording began" if self._running_s is None else "control began"
+
+    @property
     def controlled_s(self) -> float:
         """Time from the first deadline under control to the last one."""
         return 0.0 if self._running_s is None else self._running_s[2] - self._running_s[1]

@@ -34,23 +34,30 @@ class Statement(NamedTuple):
 
 
 def verdict(
-    summary: Summary, recording: Recording, promises: list[Promise], log: Sequence[tuple[float, LogEntry]]
+    summary: Summary,
+    recording: Recording,
+    promises: list[Promise],
+    log: Sequence[tuple[float, LogEntry]],
+    origin: str,
 ) -> list[Statement]:
     """Return the statements about a run.
 
-    ``promises``: those of its controller files; ``log``: its log, each entry with its time in seconds.
+    ``promises``: those of its controller files; ``log``: its log, each entry with its time in seconds;
+    ``origin``: what happened at time 0, such as "control began".
     """
     faults = [(at_s, entry) for at_s, entry in log if entry.severity == Severity.FATAL]
     return [
-        _ending(summary, recording, faults),
-        *_simulated(recording, log),
-        *_faults(summary, faults),
+        _ending(summary, recording, faults, origin),
+        *_simulated(recording, log, origin),
+        *_faults(summary, faults, origin),
         *_losses(summary),
         *_kept(promises, summary, recording),
     ]
 
 
-def _ending(summary: Summary, recording: Recording, faults: list[tuple[float, LogEntry]]) -> Statement:
+def _ending(
+    summary: Summary, recording: Recording, faults: list[tuple[float, LogEntry]], origin: str
+) -> Statement:
     if not summary.complete:
         return Statement("caution", "The recording was cut off. Everything here is about its contents.")
     if "imported" in recording.metadata:
@@ -68,36 +75,54 @@ def _ending(summary: Summary, recording: Recording, faults: list[tuple[float, Lo
         )
         return Statement(style, text)
     fault = recording.metadata.get("ending", {}).get("fault", "")
-    at = f" at {faults[-1][0]:.3f} s" if faults and summary.ending == "fault" else ""
+    at = f", {_since(faults[-1][0], origin)}" if faults and summary.ending == "fault" else ""
     return Statement("", f"The run ended by {summary.ending or UNKNOWN_CAUSE}{at}{fault and ': '}{fault}")
 
 
-def _simulated(recording: Recording, log: Sequence[tuple[float, LogEntry]]) -> Iterator[Statement]:
+def _since(at_s: float, origin: str) -> str:
+    """Return an instant in words, such as "1.949 s after control began"."""
+    return f"{abs(at_s):.3f} s {'before' if at_s < 0.0 else 'after'} {origin}"
+
+
+def _simulated(
+    recording: Recording, log: Sequence[tuple[float, LogEntry]], origin: str
+) -> Iterator[Statement]:
     """State which faults and events were simulated: what follows from them is no defect of the hardware."""
     begun = _begun(log, FAULT_SOURCE) or [
-        (text, "") for text in recording.metadata.get(FAULTS_BEGUN, {}).values()
+        (text, None) for text in recording.metadata.get(FAULTS_BEGUN, {}).values()
     ]
     if begun:
         yield Statement(
             "caution",
-            f"Simulated faults began: {_listed([text + at for text, at in begun])}. They may cause what "
+            f"Simulated faults began: {_timed(begun, origin)}. They may cause what "
             "other messages attribute to the boards, the cable or the arm.",
         )
     events = _begun(log, EVENT_SOURCE)
     if events:
-        yield Statement(
-            "caution", f"Simulated events happened: {_listed([text + at for text, at in events])}."
-        )
+        yield Statement("caution", f"Simulated events happened: {_timed(events, origin)}.")
     texts = {text for text, _ in begun + events}
     planned = [text for text in recording.metadata.get(ARM_EVENTS, {}) if text not in texts]
     if planned:
         yield Statement("caution", f"Events planned in the simulation: {_listed(planned)}.")
 
 
-def _begun(log: Sequence[tuple[float, LogEntry]], source: str) -> list[tuple[str, str]]:
-    """Return the text and the time in words of each fault or event of ``source`` that has begun."""
+def _timed(begun: Sequence[tuple[str, float | None]], origin: str) -> str:
+    """List faults or events with their times in words. The first time says what time 0 is."""
+    texts = []
+    for text, at_s in begun:
+        if at_s is None:
+            texts.append(text)
+        elif not texts:
+            texts.append(f"{text} at {_since(at_s, origin)}")
+        else:
+            texts.append(f"{text} at {at_s:.3f} s")
+    return _listed(texts)
+
+
+def _begun(log: Sequence[tuple[float, LogEntry]], source: str) -> list[tuple[str, float | None]]:
+    """Return the text and the time of each fault or event of ``source`` that has begun."""
     return [
-        (entry.text.removesuffix(BEGINS), f" at {at_s:.3f} s")
+        (entry.text.removesuffix(BEGINS), at_s)
         for at_s, entry in log
         if entry.source == source and entry.text.endswith(BEGINS)
     ]
@@ -108,14 +133,15 @@ def _listed(texts: list[str]) -> str:
     return ", ".join(texts[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _faults(summary: Summary, faults: list[tuple[float, LogEntry]]) -> Iterator[Statement]:
+def _faults(summary: Summary, faults: list[tuple[float, LogEntry]], origin: str) -> Iterator[Statement]:
     """State the faults, unless the ending has stated the only one."""
     if not faults or (len(faults) == 1 and summary.complete and summary.ending == "fault"):
         return
     at_s, first = faults[0]
     count = "one fault" if len(faults) == 1 else f"{len(faults)} faults"
     came = "It came" if len(faults) == 1 else "The first one came"
-    yield Statement("", f"The run had {count}. {came} at {at_s:.3f} s: {first.source}: {first.text}")
+    when = _since(at_s, origin)
+    yield Statement("", f"The run had {count}. {came} {when}: {first.source}: {first.text}")
 
 
 def _losses(summary: Summary) -> Iterator[Statement]:

@@ -27,7 +27,7 @@ from support.recorded_runs import (
 
 import hil.cli.report as command
 from hil.core.errors import RecordingError, RecordingExistsError
-from hil.core.life_cycle import Trigger
+from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.output import LogEntry, Severity
 from hil.recording import open_recording
 from hil.recording.reader import Recording
@@ -238,20 +238,41 @@ SILENT, LATE = LogEntry(Severity.FATAL, "adc", "silent"), LogEntry(Severity.FATA
 
 def test_faults_after_which_the_run_went_on_are_stated(tmp_path: Path) -> None:
     text = recorded(tmp_path / "run.mcap", {"reason": "interrupted"}, [(SILENT, 100), (LATE, 200)])
-    assert "The run had 2 faults. The first one came at 1.120 s: adc: silent" in text
+    assert "The run had 2 faults. The first one came 1.120 s after control began: adc: silent" in text
 
 
 def test_the_fault_that_ended_the_run_is_stated_once_with_its_time(tmp_path: Path) -> None:
     text = recorded(tmp_path / "run.mcap", {"reason": "fault", "fault": "adc: silent"}, [(SILENT, 100)])
-    assert "The run ended by fault at 1.120 s: adc: silent" in text
+    assert "The run ended by fault, 1.120 s after control began: adc: silent" in text
     assert "The run had" not in text
+
+
+def test_plots_and_log_say_what_happened_at_time_0(page: str) -> None:
+    text = text_of(page)
+    assert "At time 0, control began." in text
+    assert re.search(r"\d entries; at time 0, control began", text)
+
+
+def test_a_fault_without_control_counts_from_the_begin_of_the_recording(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    with in_memory(file):
+        recorder = Recorder(file, RUN_HEADER, lossless=True)
+    record_periods(recorder, 20, state=LifeCycleState.READY)
+    recorder.log_entry(SILENT, START_NS + 10 * PERIOD_NS)
+    recorder.close({"ending": {"reason": "fault", "fault": "adc: silent"}})
+    text = text_of(render_report(Recording(file)))
+    assert "The run ended by fault, 0.112 s after the recording began: adc: silent" in text
+    assert "At time 0, the recording began." in text
 
 
 def test_simulated_faults_and_planned_events_are_stated(tmp_path: Path) -> None:
     begins = LogEntry(Severity.WARNING, "simulated fault", "lose:sample,10@2 begins")
     planned = {"arm events": {"lose:sample,10@2": "2.0", "payload:1@3": "3.0"}}
     text = recorded(tmp_path / "run.mcap", {"reason": "completed"}, [(begins, 100)], planned)
-    assert "Simulated faults began: lose:sample,10@2 at 1.120 s. They may cause what other" in text
+    assert (
+        "Simulated faults began: lose:sample,10@2 at 1.120 s after control began. They may cause what other"
+        in text
+    )
     assert "Events planned in the simulation: payload:1@3." in text
 
 
