@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from hil.core.errors import DocumentError, HilError
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser, add_override_option, number
+from hil.host.command_parser import CommandParser, add_override_option, number, seconds
 
 if TYPE_CHECKING:
     from design.tuning import Job
@@ -45,7 +45,7 @@ def parser() -> CommandParser:
         "--amplitude", type=number, default=0.4, metavar="V", help="of the excitation (default 0.4)"
     )
     command.add_argument(
-        "--duration", type=number, default=60.0, metavar="S", help="of an experiment (default 60)"
+        "--duration", type=seconds, default=60.0, metavar="S", help="of an experiment (default 60)"
     )
     command.add_argument(
         "--structure", default="OE(1,3,1)", metavar="TEXT", help="model structure, see hil identify"

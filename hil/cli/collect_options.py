@@ -16,7 +16,13 @@ from hil.core.excitation import KINDS, Signal, read_table
 from hil.core.experiment import MAX_PAUSE_S, Experiment, Origins, check_experiment
 from hil.core.rig import Rig
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser, add_controller_option, add_override_option, number
+from hil.host.command_parser import (
+    CommandParser,
+    add_controller_option,
+    add_override_option,
+    number,
+    seconds,
+)
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 from hil.live.address import add_page_options
 
@@ -77,7 +83,7 @@ def parser() -> CommandParser:
     )
     command.add_argument("--phases", metavar="KIND", help="phases of a multisine: schroeder or random")
     command.add_argument("--sweep", metavar="KIND", help="sweep of a chirp: logarithmic or linear")
-    command.add_argument("--hold", type=number, metavar="S", help="seconds that a step is held (default 2)")
+    command.add_argument("--hold", type=seconds, metavar="S", help="seconds that a step is held (default 2)")
     command.add_argument(
         "--excite",
         choices=tuple(MODES),
@@ -88,7 +94,7 @@ def parser() -> CommandParser:
         "--centre", type=number, default=0.0, metavar="Y", help="position to excite about (default 0)"
     )
     command.add_argument(
-        "--settle", type=number, default=4.0, metavar="S", help="seconds at rest before (default 4)"
+        "--settle", type=seconds, default=4.0, metavar="S", help="seconds at rest before (default 4)"
     )
     command.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the shipped example)")
     add_controller_option(command)

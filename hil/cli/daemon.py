@@ -10,12 +10,12 @@ from pathlib import Path
 from firmware_sim.plant_options import add_plant_options, check_plant_options
 from firmware_sim.simulated_plant import plant_texts, refuse_host_faults
 from hil.cli.axis_values import by_axis
-from hil.cli.operate import add_socket_option, duration
+from hil.cli.operate import add_socket_option
 from hil.cli.run import chosen_bus, given_scenario, read_setup
 from hil.cli.run_parts import SIMULATED
 from hil.core.errors import DocumentError
 from hil.core.setpoints import HOLD
-from hil.host.command_parser import CommandParser, add_controller_option, number
+from hil.host.command_parser import CommandParser, add_controller_option, duration, number
 from hil.live.address import add_page_options
 from hil.shells.run_setup import RIG_NAME, calibration_setup, load_rig, unusable_setpoints
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.core.suggestions import did_you_mean
-from hil.host.command_parser import CommandParser, number
+from hil.host.command_parser import CommandParser, seconds
 
 if TYPE_CHECKING:
     from hil.conversion.export import Format
@@ -66,11 +66,11 @@ def parser() -> CommandParser:
         "--axis", action="append", default=[], metavar="NAME", help="export this axis; may be repeated"
     )
     command.add_argument(
-        "--from", dest="from_s", type=number, metavar="S", help="begin of the exported time, likewise"
+        "--from", dest="from_s", type=seconds, metavar="S", help="begin of the exported time, likewise"
     )
     command.add_argument(
         "--resample",
-        type=number,
+        type=seconds,
         metavar="S",
         help="write a row every S seconds with the values of the last period, without a filter",
     )
@@ -115,7 +115,7 @@ def _format_or_time(text: str) -> str | float:
     if text in names:
         return text
     try:
-        return number(text)
+        return seconds(text)
     except argparse.ArgumentTypeError:
         raise argparse.ArgumentTypeError(
             f"{text!r} is neither a format ({', '.join(names)}) nor a time in seconds"

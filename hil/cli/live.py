@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hil.cli.operate import add_socket_option
 from hil.core.errors import DocumentError, RecordingError
-from hil.host.command_parser import CommandParser, number
+from hil.host.command_parser import CommandParser, seconds
 from hil.live.address import add_address_options, open_address
 
 DESCRIPTION = """\
@@ -32,12 +32,12 @@ def parser() -> CommandParser:
     command.add_argument(
         "--from",
         dest="from_s",
-        type=number,
+        type=seconds,
         metavar="S",
         help="play from this time on (default: begin)",
     )
     command.add_argument(
-        "--to", dest="to_s", type=number, metavar="S", help="play up to this time (default: end)"
+        "--to", dest="to_s", type=seconds, metavar="S", help="play up to this time (default: end)"
     )
     command.add_argument("--operate", action="store_true", help="let the page operate the daemon")
     add_socket_option(command)

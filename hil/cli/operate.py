@@ -7,7 +7,6 @@ daemon runs, 2 for wrong arguments.
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import time
 from collections.abc import Callable
@@ -17,7 +16,7 @@ from typing import NamedTuple
 from hil.cli.axis_values import by_axis
 from hil.core.errors import ConnectionLostError, DocumentError, OperationError, RequestRefusedError
 from hil.core.setpoints import FORMS
-from hil.host.command_parser import CommandParser, add_override_option, number
+from hil.host.command_parser import CommandParser, add_override_option, duration
 from hil.operation.client import Client, await_end, connect
 from hil.operation.protocol import AxisStatus, Status
 
@@ -76,16 +75,6 @@ def add_socket_option(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         help="the daemon's socket (default: $XDG_RUNTIME_DIR/hil/daemon.sock, or /run/hil/daemon.sock)",
     )
-
-
-def duration(text: str) -> float:
-    """Return the seconds of a duration such as ``0.2s``, ``200ms`` or ``0.2``."""
-    match = re.fullmatch(r"(.*?)(ms|s)?", text.strip())
-    assert match is not None
-    value = number(match[1]) * (0.001 if match[2] == "ms" else 1.0)
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} must be more than 0 s")
-    return value
 
 
 def _no_arguments(_parser: CommandParser) -> None:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from hil.core.errors import HilError, ReplayMismatchError
-from hil.host.command_parser import CommandParser, number
+from hil.host.command_parser import CommandParser, number, seconds
 from hil.links.opening import BUS_FORMS
 
 DIFFERENT, REFUSED = 1, 2
@@ -44,9 +44,9 @@ def parser() -> CommandParser:
     )
     onto_bus.add_argument("--speed", type=_speed, metavar="X", help="X times the recorded speed (default: 1)")
     onto_bus.add_argument(
-        "--from", dest="from_s", type=number, metavar="S", help="begin, in seconds from the first period"
+        "--from", dest="from_s", type=seconds, metavar="S", help="begin, in seconds from the first period"
     )
-    onto_bus.add_argument("--to", dest="to_s", type=number, metavar="S", help="end, likewise")
+    onto_bus.add_argument("--to", dest="to_s", type=seconds, metavar="S", help="end, likewise")
     onto_bus.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
     onto_bus.add_argument(
         "--fresh", action="store_true", help="as boards: give the samples new counters and CRCs"

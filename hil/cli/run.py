@@ -6,7 +6,6 @@ Nothing slow is imported before the loop. What only the summary needs is importe
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from hil.cli.run_parts import SIMULATED
 from hil.core.check_names import check_overrides
 from hil.core.errors import DocumentError, HilError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, EXAMPLE_POSITION, FORMS
-from hil.host.command_parser import CommandParser, add_controller_option, add_override_option
+from hil.host.command_parser import CommandParser, add_controller_option, add_override_option, duration
 from hil.host.text_file import read_text
 from hil.live.address import add_page_options, check_page_options
 from hil.recording.recorder import RecorderReport
@@ -81,7 +80,7 @@ def parser() -> CommandParser:
         "--duration",
         type=duration_argument,
         metavar="S",
-        help=f"seconds of control (default {DEFAULT_DURATION_S:g}, or the scenario's)",
+        help=f"time of control, in s or such as 5min (default {DEFAULT_DURATION_S:g}, or the scenario's)",
     )
     where = command.add_mutually_exclusive_group()
     where.add_argument("--bus", metavar="BUS", help="bus of the boards instead of the rig file's")
@@ -225,14 +224,10 @@ def _linear_controllers(options: argparse.Namespace) -> dict[str, str]:
 
 
 def duration_argument(text: str) -> float:
-    """Return a duration in seconds from the text of an argument."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value <= MAX_DURATION_S:
+    """Return the duration of a run in seconds from the text of an argument, at most ``MAX_DURATION_S``."""
+    value = duration(text)
+    if value > MAX_DURATION_S:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not a number of seconds between 0 and {MAX_DURATION_S:.0f} "
-            f"({duration_text(MAX_DURATION_S)})"
+            f"{text!r} is more than the limit {MAX_DURATION_S:.0f} s ({duration_text(MAX_DURATION_S)})"
         )
     return value

@@ -10,9 +10,9 @@ from collections.abc import Iterable
 
 import msgspec
 
-from hil.cli.operate import add_socket_option, duration
+from hil.cli.operate import add_socket_option
 from hil.core.errors import OperationError
-from hil.host.command_parser import CommandParser
+from hil.host.command_parser import CommandParser, duration
 from hil.operation.client import Client, connect
 from hil.operation.protocol import LogLine, Status
 from hil.views.log_lines import log_line

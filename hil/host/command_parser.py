@@ -12,6 +12,8 @@ from typing import Any, NoReturn
 
 from hil.core.suggestions import did_you_mean
 
+_UNITS_S = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
+
 
 def number(text: str) -> float:
     """Return a finite number from the text of an argument."""
@@ -21,6 +23,29 @@ def number(text: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number")
+    return value
+
+
+def seconds(text: str) -> float:
+    """Return a finite time in seconds from a text such as ``0.2``, ``0.2s``, ``200ms`` or ``5min``."""
+    match = re.fullmatch(r"(.*?)\s*(ms|s|min|h)?", text.strip(), re.DOTALL)
+    assert match is not None
+    try:
+        value = number(match[1]) * _UNITS_S[match[2] or "s"]
+    except argparse.ArgumentTypeError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a time; write seconds, or a number with the unit ms, s, min or h, such as 0.2s"
+        )
+    return value
+
+
+def duration(text: str) -> float:
+    """Return a time over 0 in seconds from the text of an argument, as :func:`seconds` does."""
+    value = seconds(text)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} must be more than 0 s")
     return value
 
 

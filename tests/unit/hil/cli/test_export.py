@@ -89,7 +89,7 @@ def test_force_overwrites(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
         (["run.mcap", "--to", "asc", "--axis", "vertical"], "--axis is for signals, but asc takes frames"),
         (["run.mcap", "--to", "blf", "--resample", "1"], "--resample is for signals"),
         (["run.mcap", "--to", "csv", "--resample", "0"], "--resample 0 s is under the limit"),
-        (["run.mcap", "--to", "csv", "--resample", "nan"], "'nan' is not a number"),
+        (["run.mcap", "--to", "csv", "--resample", "nan"], "'nan' is not a time"),
         (["none.mcap", "--to", "csv"], "none.mcap: cannot be read: No such file"),
         (["empty.mcap", "--to", "csv"], "empty.mcap: "),
         (["fifo.mcap", "--to", "csv"], "fifo.mcap: not a regular file"),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentTypeError
+
 import pytest
 
-from hil.host.command_parser import CommandParser
+from hil.host.command_parser import CommandParser, duration, seconds
 
 
 def make_parser() -> CommandParser:
@@ -49,6 +51,33 @@ def test_valid_arguments_are_parsed() -> None:
     for value in ("-1e-3", "-.5s", "-inf", "-nan"):
         assert make_parser().parse_args(["--bus", value]).bus == value
     assert make_parser().parse_args(["--bus", "b", "--", "--not-an-option"]).file == "--not-an-option"
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("0.2", 0.2), ("0.2s", 0.2), ("200ms", 0.2), (" 1 s", 1.0), ("5min", 300.0), ("1h", 3600.0),
+        ("1e-3", 0.001), ("-1s", -1.0),
+    ],
+)  # fmt: skip
+def test_times(text: str, value: float) -> None:
+    assert seconds(text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", ["soon", "s", "", "1m", "1d", "nan", "infs", "1e400", "1e308h"])
+def test_a_text_that_is_no_time_is_refused_with_the_units(text: str) -> None:
+    with pytest.raises(ArgumentTypeError) as refused:
+        seconds(text)
+    assert str(refused.value) == (
+        f"{text!r} is not a time; write seconds, or a number with the unit ms, s, min or h, such as 0.2s"
+    )
+
+
+@pytest.mark.parametrize("text", ["0", "0ms", "-1s"])
+def test_a_duration_is_more_than_0(text: str) -> None:
+    assert duration("1e-9") == 1e-9
+    with pytest.raises(ArgumentTypeError, match="must be more than 0 s"):
+        duration(text)
 
 
 @pytest.mark.parametrize("columns", ["40", "80"])
