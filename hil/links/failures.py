@@ -52,12 +52,17 @@ def failure(spec: str, what: str, cause: OSError | None, error: BaseException | 
     return LinkError(f"{spec}: {what}: {reason}" + (f"; {remedy}" if remedy else ""))
 
 
+def in_hil_vcan(interface: str) -> str:
+    """Return the advice to use ``hil vcan``; empty for an interface that it does not have."""
+    return "; or run the command under `hil vcan -- …`" if interface == "vcan0" else ""
+
+
 def creation(interface: str) -> str:
     """Return how to make a SocketCAN interface that is missing."""
     if interface.startswith("vcan"):
         return (
-            f"make it: sudo ip link add dev {interface} type vcan && sudo ip link set {interface} up; "
-            "or run the command under `hil vcan -- …`"
+            f"make it: sudo ip link add dev {interface} type vcan && sudo ip link set {interface} up"
+            f"{in_hil_vcan(interface)}"
         )
     return (
         f"plug the adapter in, then: sudo ip link set {interface} up type can bitrate 500000 "

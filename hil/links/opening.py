@@ -8,7 +8,7 @@ import socket
 from typing import TYPE_CHECKING, Final, Literal
 
 from hil.core.errors import LinkError
-from hil.links.failures import cause_of, creation, failure
+from hil.links.failures import cause_of, creation, failure, in_hil_vcan
 from hil.links.ports import MessagePort, Port
 from hil.links.sockets import prepare
 
@@ -87,8 +87,8 @@ def _open_socketcan(spec: str, interface: str) -> SocketBus:
         socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
         raise LinkError(
-            f"{spec}: this kernel has no SocketCAN ({error.strerror}); run the command under "
-            "`hil vcan -- …`, or load the module: sudo modprobe can-raw"
+            f"{spec}: this kernel has no SocketCAN ({error.strerror}); load its module: sudo modprobe can-raw"
+            f"{in_hil_vcan(interface)}"
         ) from None
     try:
         socket.if_nametoindex(interface)

@@ -231,7 +231,7 @@ class TestInterface:
             open_link("vcan9")
         assert str(caught.value) == (
             "vcan9: there is no interface vcan9; make it: sudo ip link add dev vcan9 type vcan && "
-            "sudo ip link set vcan9 up; or run the command under `hil vcan -- …`"
+            "sudo ip link set vcan9 up"
         )
 
     def test_one_of_another_kind_is_a_link_error(self) -> None:

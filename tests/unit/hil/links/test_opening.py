@@ -1,5 +1,7 @@
 """Names of buses, and the messages about buses that cannot be opened."""
 
+import errno
+import os
 import subprocess
 import sys
 
@@ -7,6 +9,7 @@ import pytest
 
 from hil.core.errors import LinkError
 from hil.links import BUS_FORMS, open_link
+from hil.links.failures import creation
 
 INVALID_NAMES = [
     "",
@@ -65,3 +68,18 @@ def test_the_forms_offer_no_bus_that_other_processes_cannot_join() -> None:
     assert "inproc" not in BUS_FORMS
     with open_link("inproc:for tests") as link:
         assert link.stamp_origin == "user"
+
+
+@pytest.mark.parametrize(("bus", "is_in_hil_vcan"), [("vcan0", True), ("vcan1", False), ("can0", False)])
+def test_hil_vcan_is_advised_only_for_the_interface_that_it_has(
+    bus: str, is_in_hil_vcan: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_given: int) -> None:
+        raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
+
+    monkeypatch.setattr("socket.socket", refuse)
+    with pytest.raises(LinkError, match="this kernel has no SocketCAN") as refused:
+        open_link(bus)
+    assert ("hil vcan" in str(refused.value)) is is_in_hil_vcan
+    assert "sudo modprobe can-raw" in str(refused.value)
+    assert ("hil vcan" in creation(bus)) is is_in_hil_vcan
