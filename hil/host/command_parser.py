@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from hil.core.suggestions import did_you_mean
+from hil.core.suggestions import nearest
 
 _UNITS_S = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -111,7 +111,10 @@ class CommandParser(argparse.ArgumentParser):
             if argument == "--":
                 return None
             if option.startswith("--") and not any(name.startswith(option) for name in known):
-                return f"unknown option {option}{did_you_mean(option, known)}"
+                # Without the dashes, which make short names similar that are not.
+                similar = nearest(option.lstrip("-"), [name.lstrip("-") for name in known if len(name) > 2])
+                suggestion = "" if similar is None else f"; did you mean --{similar}?"
+                return f"unknown option {option}{suggestion}"
         return None
 
 

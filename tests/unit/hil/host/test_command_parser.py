@@ -27,6 +27,7 @@ def make_parser() -> CommandParser:
         (["--bus", "b", "--setpiont", "x"], "unknown option --setpiont; did you mean --setpoint?"),
         (["--bus", "b", "--setpiont=x"], "unknown option --setpiont; did you mean --setpoint?"),
         (["--bsu", "b"], "unknown option --bsu; did you mean --bus?"),
+        (["--seat", "b"], "unknown option --seat"),
         (["--bus", "b", "--quaternion"], "unknown option --quaternion"),
         (["--bus", "b", "--seed", "1.5"], "argument --seed: '1.5' is not a whole number"),
         (["--bus", "b", "--seed", "-1s"], "argument --seed: '-1s' is not a whole number"),
