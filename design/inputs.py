@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from design.synthesis.design_file import DesignFile
 
 PLANTS = Path(__file__).parent / "models" / "plants"
+_PLANT_OF_RECORDING = "`hil identify` makes a plant file from it; give that file"
 EXAMPLE = "design.toml"
 """Name of the example in messages, where no design file is given."""
 
@@ -95,7 +96,7 @@ def load_plant(path: str | os.PathLike[str], folder: Path = Path()) -> Plant:
             f"plant {name!r}: there is no file {file}, and no shipped plant of this name; shipped are "
             f"{', '.join(shipped_plants())}{did_you_mean(name, shipped_plants())}"
         )
-    return read_plant(read_text(file), name)
+    return read_plant(read_text(file, for_recording=_PLANT_OF_RECORDING), name)
 
 
 def shipped_plants() -> list[str]:

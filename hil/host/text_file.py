@@ -23,11 +23,13 @@ _OTHER_FILES = {
 }
 
 
-def read_text(path: Path, max_bytes: int = MAX_DOCUMENT_BYTES) -> str:
+def read_text(
+    path: Path, max_bytes: int = MAX_DOCUMENT_BYTES, for_recording: str = "`hil replay` takes it"
+) -> str:
     """Return the text of a regular file of at most ``max_bytes`` bytes, without a byte order mark.
 
-    What is not a regular file is refused before it is opened: reading it might never end. Raises
-    DocumentError.
+    What is not a regular file is refused before it is opened: reading it might never end. ``for_recording``
+    says what to do with a recording that was named instead. Raises DocumentError.
     """
     try:
         kind = stat.S_IFMT(path.stat().st_mode)
@@ -35,18 +37,18 @@ def read_text(path: Path, max_bytes: int = MAX_DOCUMENT_BYTES) -> str:
             raise DocumentError(f"{path}: is {_OTHER_FILES[kind]}, not a regular file")
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            data = file.read(max_bytes + 1) if size <= max_bytes else b""
+            data = file.read(max_bytes + 1 if size <= max_bytes else len(_MCAP_MAGIC))
     except OSError as error:
         raise DocumentError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:  # a null character in the name
         raise DocumentError(f"{str(path)!r}: cannot be read: {error}") from None
+    if data.startswith(_MCAP_MAGIC):
+        raise DocumentError(f"{path}: is a recording (MCAP), not a text; {for_recording}")
     if size > max_bytes or len(data) > max_bytes:
         raise DocumentError(
             f"{path}: has {_amount(max(size, len(data)), max_bytes)}, more than the limit "
             f"{_amount(max_bytes, max_bytes)} for such a file"
         )
-    if data.startswith(_MCAP_MAGIC):
-        raise DocumentError(f"{path}: is a recording (MCAP), not a text; `hil replay` takes it")
     try:
         return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:

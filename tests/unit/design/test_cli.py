@@ -339,6 +339,16 @@ def test_a_missing_file_is_refused(here: Path, capsys: pytest.CaptureFixture[str
     )
 
 
+def test_a_recording_instead_of_a_plant_is_refused_with_the_next_command(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "data.mcap").write_bytes(b"\x89MCAP0\r\n".ljust(2_000_000, b"\x00"))
+    assert (
+        "data.mcap: is a recording (MCAP), not a text; `hil identify` makes a plant file from it"
+        in error_of(["data.mcap"], capsys)
+    )
+
+
 def test_infeasible_specifications_are_refused_with_the_amount(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -77,8 +77,9 @@ def test_a_file_that_states_no_size_is_read_up_to_the_limit() -> None:
 
 def test_a_recording_is_recognised(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    path.write_bytes(b"\x89MCAP0\r\n\xff\x00")
-    assert refusal(path) == f"{path}: is a recording (MCAP), not a text; `hil replay` takes it"
+    for size in (9, MAX_DOCUMENT_BYTES + 1):
+        path.write_bytes(b"\x89MCAP0\r\n\xff".ljust(size, b"\x00"))
+        assert refusal(path) == f"{path}: is a recording (MCAP), not a text; `hil replay` takes it"
 
 
 def test_what_is_not_utf_8_is_refused_with_the_place(tmp_path: Path) -> None:
