@@ -94,7 +94,9 @@ def main(argv: list[str]) -> int:
     file_format = Format(name)
     selection = Selection(tuple(options.axis), options.from_s, to_s, options.resample)
     path = options.output or default_output(options.recording, file_format)
-    check_output(path, force=options.force)
+    if path == options.recording:
+        open_recording(path)  # an input that is no recording is reported before its name as an output
+    check_output(path, force=options.force, source=options.recording)
     recording = open_recording(options.recording)
     warn_if_cut_off(recording)
     with FileProgress("export", recording.duration_s) as progress:

@@ -92,6 +92,8 @@ def test_force_overwrites(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
         (["run.mcap", "--to", "csv", "--resample", "nan"], "'nan' is not a time"),
         (["none.mcap", "--to", "csv"], "none.mcap: cannot be read: No such file"),
         (["empty.mcap", "--to", "csv"], "empty.mcap: "),
+        (["s.csv", "--to", "csv"], "s.csv: not an MCAP file"),
+        (["run.mcap", "--to", "csv", "-o", "run.mcap"], "is the file that is being read"),
         (["fifo.mcap", "--to", "csv"], "fifo.mcap: not a regular file"),
         (["theirs.mcap", "--to", "csv"], "theirs.mcap: not the recording of a run"),
         (["run.mcap", "--to", "csv", "-o", "none/run.csv"], "there is no directory none"),
@@ -105,6 +107,7 @@ def test_what_is_wrong_is_said_in_one_line_and_leaves_no_file(
 ) -> None:
     os.mkfifo("fifo.mcap")
     Path("empty.mcap").touch()
+    Path("s.csv").write_text("time_s,setpoint\n0,0\n")
     with Path("theirs.mcap").open("wb") as file:
         writer = Writer(file)
         writer.start()
