@@ -187,4 +187,8 @@ def _band(text: str) -> tuple[float, float]:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         raise DocumentError(f"--band {text}: must be two frequencies in rad/s, such as 0.2:40") from None
+    if not 0.0 < low < high:
+        raise DocumentError(
+            f"--band {text}: LOW must be over 0 rad/s and under HIGH; write --band LOW:HIGH, such as 0.2:40"
+        )
     return low, high

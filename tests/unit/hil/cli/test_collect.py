@@ -34,6 +34,11 @@ COLLECTED = Collected(
         (("--centre", "0.5"), r"^--centre: 0\.5 m is not inside the travel fence"),
         (("--amplitude", "9"), r"^--amplitude: the excitation reaches 9 V, limit"),
         (("--settle", "1000"), r"^--settle 1000: must be over 0 s and at most 600 s"),
+        (
+            ("--band", "40:0.2", "--excitation", "chirp"),
+            r"^--band 40:0\.2: LOW must be over 0 rad/s and under HIGH; write --band LOW:HIGH",
+        ),
+        (("--band", "0:5", "--excitation", "multisine"), r"^--band 0:5: LOW must be over 0 rad/s"),
         (("--settle", "0"), r"^--settle 0: must be over 0 s"),
         (("--scenario", "fg13"), r"did you mean fig13\?"),
     ],
