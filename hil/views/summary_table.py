@@ -13,8 +13,8 @@ from rich.text import Text
 from hil.views.summary import StepResponse, Summary, losses
 
 _WITHOUT_SAMPLE = """\
-(without a sample: the gateway sent no SYNC, because the loop was late or to check
-for late samples, or no good sample came)
+(without a sample: the gateway sent no SYNC, because the loop was late or to
+check for late samples, or no good sample came)
 """
 """Explanation of the periods that have no sample although no frame was lost."""
 

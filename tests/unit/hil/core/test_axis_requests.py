@@ -125,6 +125,8 @@ ABOVE_V = 1.1 * SMALL_BUMP_V
             "with a time constant of 0.5 s, at most 400 V/s (rig: axes.vertical.valve.max_rate_v_s)",
         ),
         (Matching(0.0, -0.25, 0.5), "its output then moves by -0.25 V with a time constant of 0.5 s"),
+        (Matching(0.0, -0.25, 1000.4), "with a time constant of 1000 s"),
+        (Matching(0.0, -0.25, 0.012345), "with a time constant of 0.0123 s"),
         (None, "acts from the next start on"),
     ],
 )

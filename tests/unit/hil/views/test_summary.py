@@ -236,6 +236,7 @@ def test_periods_before_the_boards_are_up_are_no_losses(tmp_path: Path) -> None:
     assert (summary.periods, summary.bring_up_periods, summary.periods_without_sample) == (137, 28, 7)
     assert "137 periods (28 before the boards were up), " in printed(summary)
     assert ", 7 without a sample\n(without a sample: the gateway sent no SYNC" in printed(summary)
+    assert max(map(len, printed(summary).splitlines())) <= 80
 
 
 def test_a_run_without_a_period_is_summed_up(tmp_path: Path) -> None:
