@@ -230,7 +230,11 @@ class Client:
         return self._ask(RecordStopCall(id=self._next_id())).text
 
     def shutdown(self) -> str:
-        """End the daemon: it centres the valves and closes the recording. Wait until it has ended."""
+        """End the daemon: it centres the valves and closes the recording. Wait until this is done.
+
+        Simulated boards and a page end after that, so that its process runs for a moment more. ``hil
+        shutdown`` waits for that too; another daemon at the same socket is refused until then.
+        """
         text = self._ask(ShutdownCall(id=self._next_id())).text
         with contextlib.suppress(ConnectionLostError):
             while self._lines.read(TIMEOUT_S):
@@ -285,8 +289,8 @@ class _Lines:
         except ConnectionRefusedError:
             self.close()
             raise NoDaemonError(
-                f"no daemon answers at {path}: it was killed, or only its socket process was, which its log "
-                "says; start one with `hil daemon`, or give --socket its path"
+                f"no daemon answers at {path}: it is ending, or was killed, or only its socket process was, "
+                "which its log says; start one with `hil daemon`, or give --socket its path"
             ) from None
         except OSError as error:
             self.close()
