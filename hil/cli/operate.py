@@ -151,10 +151,7 @@ def _add_controller_arguments(parser: CommandParser) -> None:
 
 
 def _set_controllers(client: Client, options: argparse.Namespace) -> str:
-    from hil.shells.run_setup import controller_path
-
-    given = by_axis("", options.controllers, "vertical=hls")
-    files = {axis: controller_path(name) for axis, name in given.items()}
+    files = by_axis("", options.controllers, "vertical=hls")
     if len(files) > 1:  # None is changed if one is refused.
         for axis, file in files.items():
             client.check_controller(axis, file)

@@ -22,6 +22,7 @@ from hil.core.errors import (
 )
 from hil.core.setpoint_change import MAX_TABLE_CHARACTERS
 from hil.core.setpoints import COLUMNS, csv_file
+from hil.host.controller_files import controller_path
 from hil.host.text_file import MAX_DOCUMENT_BYTES, read_text
 from hil.operation.protocol import (
     MAX_LINE_BYTES,
@@ -191,18 +192,18 @@ class Client:
         return self._ask(SetpointsCall(id=self._next_id(), setpoints=tuple(given))).text
 
     def set_controller(self, axis: str, file: str | os.PathLike[str]) -> str:
-        """Change the controller of ``axis`` to that of a controller file. This process reads the file.
+        """Change the controller of ``axis`` to that of a controller file, or to a shipped one by its name.
 
-        Raises DocumentError if the file cannot be read.
+        This process reads the file. Raises DocumentError if it cannot be read.
         """
         return self._controller(axis, file, only_check=False)
 
     def check_controller(self, axis: str, file: str | os.PathLike[str]) -> str:
-        """Check a controller file as :meth:`set_controller` does, and change nothing."""
+        """Check a controller as :meth:`set_controller` does, and change nothing."""
         return self._controller(axis, file, only_check=True)
 
     def _controller(self, axis: str, file: str | os.PathLike[str], only_check: bool) -> str:
-        path = Path(file)
+        path = controller_path(file)
         document = read_text(path, MAX_DOCUMENT_BYTES)
         call = ControllerCall(
             id=self._next_id(), axis=axis, name=path.name, document=document, only_check=only_check

@@ -16,9 +16,10 @@ import pytest
 from support.operation_bench import FACTS, TIMEOUT_S, MadeUpLoop, RawClient, served, status
 
 from hil.core.controller_change import PreparedController
-from hil.core.errors import OperationError, RequestRefusedError
+from hil.core.errors import DocumentError, OperationError, RequestRefusedError
 from hil.core.requests import ControllerRequest
 from hil.core.rig import Rig
+from hil.host.controller_files import SHIPPED_CONTROLLERS
 from hil.operation import peer, request_checks, server
 from hil.operation.client import connect
 from hil.operation.pipe import Replied
@@ -39,7 +40,6 @@ from hil.operation.protocol import (
     SetpointsCall,
     ShutdownCall,
 )
-from hil.shells.run_setup import SHIPPED_CONTROLLERS
 
 Bench = tuple[MadeUpLoop, Path]
 
@@ -188,6 +188,19 @@ def test_a_controller_that_does_not_fit_the_axis_is_refused(
 ) -> None:
     with connect(bench[1]) as client, pytest.raises(RequestRefusedError, match=words):
         client.set_controller(axis, SHIPPED_CONTROLLERS / f"{name}.json")
+
+
+def test_the_client_takes_the_names_of_shipped_controllers(bench: Bench) -> None:
+    loop, path = bench
+    with connect(path) as client:
+        assert client.check_controller("vertical", "hls") == "controller hls.json fits"
+        assert client.set_controller("vertical", "hls") == "done"
+        with pytest.raises(DocumentError, match=r"'ppdi': there is no file ppdi, .*; did you mean ppid\?"):
+            client.set_controller("vertical", "ppdi")
+    document = (SHIPPED_CONTROLLERS / "hls.json").read_text()
+    assert [asked.call for asked in loop.asked] == [
+        ControllerCall(id=2, axis="vertical", name="hls.json", document=document)
+    ]
 
 
 def test_an_event_is_checked_by_the_function_that_the_daemon_names(tmp_path: Path) -> None:
