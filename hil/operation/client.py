@@ -143,13 +143,14 @@ class Client:
                     raise RequestRefusedError(_decode(line, Answer, self.path).text)
                 yield _decode(line, Update, self.path).status
 
-    def arm(self, override: Iterable[str] = ()) -> str:
+    def arm(self, override: str | Iterable[str] = ()) -> str:
         """Allow motion: ready becomes armed. The valves stay centred. Return what happened.
 
         The daemon refuses if a check fails, such as a right that the rig requires of the machine. The refusal
-        names the check; ``override`` has the names of checks that may fail.
+        names the check; ``override`` is the name of a check that may fail, or the names of several.
         """
-        return self._ask(ArmCall(id=self._next_id(), override=tuple(override))).text
+        names = (override,) if isinstance(override, str) else tuple(override)
+        return self._ask(ArmCall(id=self._next_id(), override=names)).text
 
     def disarm(self) -> str:
         """Forbid motion: armed becomes ready. Return what happened."""

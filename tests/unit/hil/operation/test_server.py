@@ -190,6 +190,19 @@ def test_a_controller_that_does_not_fit_the_axis_is_refused(
         client.set_controller(axis, SHIPPED_CONTROLLERS / f"{name}.json")
 
 
+def test_a_text_overrides_one_check(bench: Bench) -> None:
+    loop, path = bench
+    with connect(path) as client:
+        assert client.arm(override="SCHED_FIFO") == "done"
+        assert client.arm(override=["SCHED_FIFO", "memory-lock"]) == "done"
+        with pytest.raises(RequestRefusedError, match="--override foo: no check has this name"):
+            client.arm(override="foo")
+    assert [asked.call for asked in loop.asked] == [
+        ArmCall(id=1, override=("SCHED_FIFO",)),
+        ArmCall(id=2, override=("SCHED_FIFO", "memory-lock")),
+    ]
+
+
 def test_the_client_takes_the_names_of_shipped_controllers(bench: Bench) -> None:
     loop, path = bench
     with connect(path) as client:
