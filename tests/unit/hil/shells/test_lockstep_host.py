@@ -71,6 +71,8 @@ def test_a_recording_is_not_overwritten(tmp_path: Path) -> None:
 def test_a_table_of_an_axis_that_the_rig_does_not_have_is_an_error() -> None:
     with pytest.raises(HilError, match="no axis 'elbow'; the rig has vertical, horizontal, rotation"):
         running_rig().axis("elbow")
+    with pytest.raises(HilError, match=r"no axis 'vertcal'; .*; did you mean vertical\?"):
+        running_rig().axis("vertcal")
 
 
 def test_simulated_time_never_goes_back() -> None:
