@@ -6,6 +6,7 @@ function. Nothing here reads a clock. The same calls give the same frames in eve
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -146,13 +147,17 @@ class LockstepRig:
         return dict(zip(self.rig.axes, self.cycles[-1].axes, strict=True)) if self.cycles else {}
 
     def step(self, periods: int = 1) -> None:
-        """Advance by a number of periods of the loop."""
+        """Advance by a number of periods of the loop. Raises HilError for a negative one."""
+        if periods < 0:
+            raise HilError(f"periods is {periods}, but must be at least 0: simulated time never goes back")
         for _ in range(periods):
             while not self._lockstep.step(self._side):
                 pass
 
     def run(self, duration_s: float) -> None:
-        """Advance by a time in seconds, rounded to whole periods."""
+        """Advance by a time in seconds, rounded to whole periods. Raises HilError if it is no such time."""
+        if not 0.0 <= duration_s < math.inf:
+            raise HilError(f"duration_s is {duration_s:g} s, but must be finite and at least 0 s")
         self.step(round(duration_s / self.rig.loop.period_s))
 
     def axis(self, name: str) -> AxisTable:

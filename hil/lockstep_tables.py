@@ -10,13 +10,16 @@ from hil.core.errors import HilError
 from hil.core.life_cycle import LifeCycleState
 from hil.core.output import AxisSignals, Cycle
 from hil.core.rig import Rig
+from hil.core.suggestions import did_you_mean
 from hil.recording.tables import AxisTable
 
 
 def axis_table(rig: Rig, cycles: Sequence[Cycle], name: str) -> AxisTable:
     """Return the signals of an axis, one row for each of ``cycles``. Raises HilError without that axis."""
     if name not in rig.axes:
-        raise HilError(f"no axis {name!r}; the rig has {', '.join(rig.axes)}")
+        raise HilError(
+            f"no axis {name!r}; the rig has {', '.join(rig.axes)}{did_you_mean(str(name), rig.axes)}"
+        )
     place = list(rig.axes).index(name)
     time_ns = np.array([cycle.wake_ns for cycle in cycles], np.int64)
     values = np.array([cycle.axes[place] for cycle in cycles], float).reshape(-1, len(AxisSignals._fields))

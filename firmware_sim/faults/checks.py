@@ -10,6 +10,7 @@ from firmware_sim.faults.fault_text import fault_text
 from firmware_sim.faults.kinds import AnyFault, ArmFault, ProcessFault
 from hil.core.errors import DocumentError
 from hil.core.rig import Rig
+from hil.core.suggestions import did_you_mean
 
 
 def no_process(fault: ProcessFault) -> str:
@@ -55,6 +56,7 @@ def check_faults(faults: Iterable[AnyFault], rig: Rig) -> None:
         if axis is not None and axis not in rig.axes:
             raise DocumentError(
                 f"fault {fault_text(fault)!r}: no axis {axis!r}; the rig has {', '.join(rig.axes)}"
+                f"{did_you_mean(axis, rig.axes)}"
             )
         if isinstance(fault, ArmFault):
             check_is_seen(fault.event, rig, f"fault {fault_text(fault)!r}")

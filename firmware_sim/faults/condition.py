@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from hil.core.errors import DocumentError
+from hil.core.suggestions import did_you_mean
 
 RUNNING: Final = "running"
 STATES: Final = ("offline", "ready", "armed", "fault")
@@ -61,5 +62,8 @@ def parse_condition(text: str, axes: Sequence[str], source: str) -> Condition:
             "AXIS>POSITION or AXIS<POSITION, such as 'vertical>0.05'"
         )
     if match["axis"] not in axes:
-        raise DocumentError(f"{source}: when: no axis {match['axis']!r}; the rig has {', '.join(axes)}")
+        raise DocumentError(
+            f"{source}: when: no axis {match['axis']!r}; the rig has {', '.join(axes)}"
+            f"{did_you_mean(match['axis'], axes)}"
+        )
     return Condition(match["sign"], match["axis"], float(match["limit"]))

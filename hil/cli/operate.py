@@ -19,6 +19,7 @@ from hil.core.setpoints import FORMS
 from hil.host.command_parser import CommandParser, add_override_option, duration
 from hil.operation.client import Client, await_end, connect
 from hil.operation.protocol import AxisStatus, Status
+from hil.operation.socket_path import await_release, default_path
 
 JOG_SPAN_S = 0.3
 """A longer jog is sent in parts of this duration. If this command ends, the axis stops within it."""
@@ -32,6 +33,8 @@ END_TIMEOUT_S = 1.0
 """Longest wait for another state once a jog should be over. If none comes, somebody else moves the arm."""
 MAX_JOG_S = 10.0
 """Longest jog of one command."""
+SHUTDOWN_TIMEOUT_S = 20.0
+"""Longest wait for the end of a daemon that has closed its recording."""
 
 
 class OperatorCommand(NamedTuple):
@@ -137,10 +140,7 @@ def _add_controller_arguments(parser: CommandParser) -> None:
 
 
 def _set_controllers(client: Client, options: argparse.Namespace) -> str:
-    from hil.shells.run_setup import controller_path
-
-    given = by_axis("", options.controllers, "vertical=hls")
-    files = {axis: controller_path(name) for axis, name in given.items()}
+    files = by_axis("", options.controllers, "vertical=hls")
     if len(files) > 1:  # None is changed if one is refused.
         for axis, file in files.items():
             client.check_controller(axis, file)
@@ -267,9 +267,26 @@ def _record(client: Client, options: argparse.Namespace) -> str:
     return client.record_new() if options.what == "new" else client.record_stop()
 
 
+def _shutdown(client: Client, _options: argparse.Namespace) -> str:
+    said = client.shutdown()
+    _await_release(client.path)
+    return said
+
+
+def _await_release(path: Path) -> None:
+    """Wait until another daemon can have the socket. Raises OperationError if that takes too long."""
+    if not await_release(path, SHUTDOWN_TIMEOUT_S):
+        raise OperationError(
+            f"the daemon has taken the request, but {path} is still in use after {SHUTDOWN_TIMEOUT_S:g} s, "
+            "the limit: its simulated boards or its page do not end, or another daemon has begun; see its "
+            "log and `hil status`"
+        )
+
+
 def _ended_already(path: Path | None) -> str:
     if not await_end(path):
         return ""
+    _await_release(path or default_path())
     return (
         "the daemon has ended without an answer: another request or a signal ended it, or it was killed. Its "
         "log says whether it centred the valves; `hil replay` says whether its recording is complete"
@@ -308,9 +325,9 @@ RESET = _simple(
 )
 SHUTDOWN = OperatorCommand(
     "shutdown",
-    "End the daemon: it centres the valves and closes the recording.",
+    "End the daemon: it centres the valves and closes the recording. The command waits until it has ended.",
     _no_arguments,
-    lambda client, _: client.shutdown(),
+    _shutdown,
     after_loss=_ended_already,
 )
 SETPOINT = OperatorCommand(

@@ -23,12 +23,13 @@ from hil.core.check_names import check_overrides
 from hil.core.errors import DocumentError, HilError, LinkError, RecordingExistsError
 from hil.core.setpoints import EXAMPLE, EXAMPLE_POSITION, FORMS
 from hil.host.command_parser import CommandParser, add_controller_option, add_override_option, duration
+from hil.host.controller_files import shipped_controllers
 from hil.host.text_file import read_text
 from hil.live.address import add_page_options, check_page_options
 from hil.recording.recorder import RecorderReport
 from hil.shells.real_bus import is_real
 from hil.shells.run_plan import Ending, RunPlan
-from hil.shells.run_setup import RunSetup, load_rig, load_setup, shipped_controllers
+from hil.shells.run_setup import RunSetup, load_rig, load_setup
 
 if TYPE_CHECKING:
     from firmware_sim.scenario import Scenario

@@ -118,9 +118,7 @@ class AxisRequests:
                 f"matched; {rate}"
             )
         if abs(matching.drift_v) > SMALL_BUMP_V:
-            time_constant_s = float(
-                f"{matching.time_constant_s:.3g}"
-            )  # three digits; 1000 s without exponent
+            time_constant_s = float(f"{matching.time_constant_s:.3g}")  # so that 1000 s has no exponent
             return (
                 f"takes over at the last command; it has no integrator, so its output then moves by "
                 f"{matching.drift_v:+.4g} V with a time constant of {time_constant_s:g} s, {rate}"

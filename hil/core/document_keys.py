@@ -49,7 +49,7 @@ def _problems(plain: Any, kind: inspect.Type, steps: Steps) -> Iterator[str]:
     elif isinstance(kind, inspect.DictType) and isinstance(plain, dict):
         for key, value in plain.items():
             yield from _problems(value, kind.value_type, [*steps, key])
-    elif isinstance(kind, inspect.ListType) and isinstance(plain, list):
+    elif isinstance(kind, inspect.ListType | inspect.VarTupleType) and isinstance(plain, list):
         for index, value in enumerate(plain):
             yield from _problems(value, kind.item_type, [*steps, index])
 
@@ -130,6 +130,10 @@ def _types_at(outer: inspect.Type, step: str | int) -> list[inspect.Type]:
             return [inspect.LiteralType((tag,))]
         case inspect.StructType(fields=fields):
             return [field.type for field in fields if field.encode_name == step]
-        case inspect.DictType(value_type=inner) | inspect.ListType(item_type=inner):
+        case (
+            inspect.DictType(value_type=inner)
+            | inspect.ListType(item_type=inner)
+            | inspect.VarTupleType(item_type=inner)
+        ):
             return [inner]
     return []

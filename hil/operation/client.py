@@ -22,6 +22,7 @@ from hil.core.errors import (
 )
 from hil.core.setpoint_change import MAX_TABLE_CHARACTERS
 from hil.core.setpoints import COLUMNS, csv_file
+from hil.host.controller_files import controller_path
 from hil.host.text_file import MAX_DOCUMENT_BYTES, read_text
 from hil.operation.protocol import (
     MAX_LINE_BYTES,
@@ -142,13 +143,14 @@ class Client:
                     raise RequestRefusedError(_decode(line, Answer, self.path).text)
                 yield _decode(line, Update, self.path).status
 
-    def arm(self, override: Iterable[str] = ()) -> str:
+    def arm(self, override: str | Iterable[str] = ()) -> str:
         """Allow motion: ready becomes armed. The valves stay centred. Return what happened.
 
         The daemon refuses if a check fails, such as a right that the rig requires of the machine. The refusal
-        names the check; ``override`` has the names of checks that may fail.
+        names the check; ``override`` is the name of a check that may fail, or the names of several.
         """
-        return self._ask(ArmCall(id=self._next_id(), override=tuple(override))).text
+        names = (override,) if isinstance(override, str) else tuple(override)
+        return self._ask(ArmCall(id=self._next_id(), override=names)).text
 
     def disarm(self) -> str:
         """Forbid motion: armed becomes ready. Return what happened."""
@@ -191,18 +193,18 @@ class Client:
         return self._ask(SetpointsCall(id=self._next_id(), setpoints=tuple(given))).text
 
     def set_controller(self, axis: str, file: str | os.PathLike[str]) -> str:
-        """Change the controller of ``axis`` to that of a controller file. This process reads the file.
+        """Change the controller of ``axis`` to that of a controller file, or to a shipped one by its name.
 
-        Raises DocumentError if the file cannot be read.
+        This process reads the file. Raises DocumentError if it cannot be read.
         """
         return self._controller(axis, file, only_check=False)
 
     def check_controller(self, axis: str, file: str | os.PathLike[str]) -> str:
-        """Check a controller file as :meth:`set_controller` does, and change nothing."""
+        """Check a controller as :meth:`set_controller` does, and change nothing."""
         return self._controller(axis, file, only_check=True)
 
     def _controller(self, axis: str, file: str | os.PathLike[str], only_check: bool) -> str:
-        path = Path(file)
+        path = controller_path(file)
         document = read_text(path, MAX_DOCUMENT_BYTES)
         call = ControllerCall(
             id=self._next_id(), axis=axis, name=path.name, document=document, only_check=only_check
@@ -230,7 +232,11 @@ class Client:
         return self._ask(RecordStopCall(id=self._next_id())).text
 
     def shutdown(self) -> str:
-        """End the daemon: it centres the valves and closes the recording. Wait until it has ended."""
+        """End the daemon: it centres the valves and closes the recording. Wait until this is done.
+
+        Simulated boards and a page end after that, so that its process runs for a moment more. ``hil
+        shutdown`` waits for that too; another daemon at the same socket is refused until then.
+        """
         text = self._ask(ShutdownCall(id=self._next_id())).text
         with contextlib.suppress(ConnectionLostError):
             while self._lines.read(TIMEOUT_S):
@@ -285,8 +291,8 @@ class _Lines:
         except ConnectionRefusedError:
             self.close()
             raise NoDaemonError(
-                f"no daemon answers at {path}: it was killed, or only its socket process was, which its log "
-                "says; start one with `hil daemon`, or give --socket its path"
+                f"no daemon answers at {path}: it is ending, or was killed, or only its socket process was, "
+                "which its log says; start one with `hil daemon`, or give --socket its path"
             ) from None
         except OSError as error:
             self.close()

@@ -47,15 +47,19 @@ may add keys to answers, which a client ignores. A request with an unknown key i
 Limits: a line has at most ``MAX_LINE_BYTES`` bytes. ``MAX_CONNECTIONS`` clients are served at a time. If more
 connect, the process with the most connections loses the one that was idle for longest. A connection is read
 at ``MAX_REQUESTS_PER_S`` on average. A client that does not read what it asked for is disconnected after
-``WRITE_TIMEOUT_S``, and so is one that sends a line which is no request. The socket file has mode 0600, and
-the daemon serves only its own user and root.
+``WRITE_TIMEOUT_S``, and so is one that sends a line which is no JSON object. A request with a wrong key or
+value is refused, and the connection goes on. The socket file has mode 0600, and the daemon serves only its
+own user and root.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 import msgspec
+
+from hil.core.document_keys import key_problems
+from hil.core.document_words import validation_problem
 
 PROTOCOL = "hil-operation"
 VERSION = 1
@@ -71,12 +75,16 @@ MAX_OVERRIDES = 32
 """Number of checks that one request to arm can override."""
 MAX_SETPOINTS = 16
 """Number of setpoints that one request can give."""
+MAX_ID = 2**53
+"""Largest ``id`` of a request: every whole number up to it is one in JavaScript."""
+MAX_PROBLEM_CHARACTERS = 1024
+"""Longest text that says what is wrong with a request; a longer one is cut off."""
 ALREADY_SHUTTING_DOWN = "the daemon is already shutting down"
 """Answer to ``shutdown`` while the daemon ends."""
 
 AxisName = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 ShortText = Annotated[str, msgspec.Meta(min_length=1, max_length=1024)]
-_Id = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+_Id = Annotated[int, msgspec.Meta(ge=0, le=MAX_ID)]
 
 
 class Call(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="request", kw_only=True):
@@ -290,7 +298,7 @@ class Greeting(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """Answer to a request. A line that is no request is answered with ``id`` 0."""
+    """Answer to a request. A line that is no JSON object is answered with ``id`` 0."""
 
     id: int
     accepted: bool
@@ -311,11 +319,41 @@ def encode_line(message: msgspec.Struct) -> bytes:
 
 
 _DECODER: msgspec.json.Decoder[AnyCall] = msgspec.json.Decoder(AnyCall)
+_NAMES = [kind.__struct_config__.tag for kind in get_args(AnyCall)]
+
+
+class WrongRequestError(ValueError):
+    """A JSON object has a key or a value that no request has. The message says which."""
+
+    def __init__(self, text: str, call_id: int) -> None:
+        super().__init__(text)
+        self.call_id = call_id
+        """The request's ``id``, or 0 if it has none."""
 
 
 def decode_call(line: bytes) -> AnyCall:
-    """Return the request in a line. Raises ValueError with the reason if the line is no request."""
+    """Return the request in a line.
+
+    Raises WrongRequestError for a wrong key or value, and ValueError if the line is no JSON object.
+    """
     try:
-        return _DECODER.decode(line)
+        try:
+            return _DECODER.decode(line)
+        except msgspec.ValidationError as error:
+            plain, message = msgspec.json.decode(line), str(error)
     except RecursionError:
         raise ValueError("nested too deeply") from None
+    if not isinstance(plain, dict):
+        raise ValueError("it is no JSON object")
+    raise _wrong_request(plain, message)
+
+
+def _wrong_request(plain: dict[str, Any], message: str) -> WrongRequestError:
+    """Return the error for an object of which msgspec says ``message``."""
+    problems = key_problems(plain, AnyCall) or [validation_problem(message, plain, AnyCall)]
+    name = plain.get("request")
+    refused = f"{name} refused: " if name in _NAMES else ""
+    text = refused + "; ".join(problem.removesuffix(".") for problem in problems)
+    given = plain.get("id")
+    call_id = given if type(given) is int and 0 <= given <= MAX_ID else 0
+    return WrongRequestError(text[:MAX_PROBLEM_CHARACTERS], call_id)

@@ -41,6 +41,7 @@ from hil.operation.protocol import (
     StatusCall,
     Update,
     WatchCall,
+    WrongRequestError,
     decode_call,
     encode_line,
 )
@@ -218,6 +219,9 @@ class Server:
             await asyncio.sleep(max(paid_until_s - now_s, 0.0))
             try:
                 call = decode_call(line)
+            except WrongRequestError as error:
+                await _write(writer, Answer(id=error.call_id, accepted=False, text=str(error)))
+                continue
             except ValueError as error:
                 text = f"not a request of {PROTOCOL} version {VERSION}: {error}"
                 await _write(writer, Answer(id=0, accepted=False, text=text))

@@ -11,6 +11,7 @@ import fcntl
 import os
 import socket
 import stat
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +23,8 @@ MAX_PATH_BYTES = 106
 """Longest path: a Unix-domain socket of Linux may have 107 (unix(7)), and one is for the hidden name."""
 BACKLOG = 16
 """Number of connections that may wait until they are accepted."""
+GREETING_TIMEOUT_S = 1.0
+"""Longest wait for a word of the daemon that has the socket, before a second one is refused."""
 
 _LOCK_FLAGS = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 """A link in the place of the lock file is not followed, and no content of a file is changed."""
@@ -66,7 +69,7 @@ def listening(path: Path) -> Iterator[socket.socket]:
 def _listen(path: Path, stack: contextlib.ExitStack) -> socket.socket:
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     _refuse_open_folder(path)
-    lock = os.open(path.with_name(f"{path.name}.lock"), _LOCK_FLAGS, 0o600)
+    lock = os.open(_lock_path(path), _LOCK_FLAGS, 0o600)
     stack.callback(os.close, lock)
     _lock(lock, path)
     hidden = path.with_name(f"{path.name}~")
@@ -94,11 +97,58 @@ def _refuse_open_folder(path: Path) -> None:
         )
 
 
+def await_release(path: Path, timeout_s: float) -> bool:
+    """Wait until no daemon has the socket ``path``. Return False if one still has it after ``timeout_s``.
+
+    A daemon releases it last of all: its boards, its page and its bus are free before. Raises OperationError
+    if the lock file cannot be read.
+    """
+    try:
+        lock = os.open(_lock_path(path), os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return True  # systemd removes the folder of a service that has ended
+    except OSError as error:
+        raise OperationError(f"{_lock_path(path)}: cannot be read: {error.strerror}") from None
+
+    def wait() -> None:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_SH)
+        finally:
+            os.close(lock)
+
+    waiting = threading.Thread(target=wait, daemon=True)  # flock takes no time limit
+    waiting.start()
+    waiting.join(timeout_s)
+    return not waiting.is_alive()
+
+
+def _lock_path(path: Path) -> Path:
+    return path.with_name(f"{path.name}.lock")
+
+
 def _lock(descriptor: int, path: Path) -> None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
+        if _is_served(path):
+            raise OperationError(
+                f"another daemon serves {path}: see `hil status`; end it with `hil shutdown`, or give "
+                "--socket another path"
+            ) from None
         raise OperationError(
-            f"another daemon serves {path}: see `hil status`; end it with `hil shutdown`, or give --socket "
-            "another path"
+            f"a daemon at {path} is still ending; try again. If it does not end, only its socket process has "
+            "ended, which its log says: end the daemon with SIGTERM"
         ) from None
+
+
+def _is_served(path: Path) -> bool:
+    """Return whether somebody answers at ``path``, or may answer later."""
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(GREETING_TIMEOUT_S)
+        try:
+            probe.connect(os.fspath(path))
+            return probe.recv(1) != b""
+        except (FileNotFoundError, ConnectionError):
+            return False
+        except OSError:  # too slow, or too many clients
+            return True

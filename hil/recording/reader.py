@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.core.errors import RecordingError
+from hil.core.suggestions import did_you_mean
 from hil.recording.entries import Entry, Logged
 from hil.recording.entry_reader import EntryReader, is_complete, messages_dropped
 from hil.recording.mcap_reader import Columns, numpy_codes
@@ -220,7 +221,10 @@ class Recording:
     def axis(self, name: str) -> AxisTable:
         """Return the signals of an axis, one row for each period. Raises RecordingError without that axis."""
         if name not in self.axes:
-            raise RecordingError(f"{self.path}: no axis {name!r}; the recording has {', '.join(self.axes)}")
+            raise RecordingError(
+                f"{self.path}: no axis {name!r}; the recording has {', '.join(self.axes)}"
+                f"{did_you_mean(str(name), self.axes)}"
+            )
         columns = self._columns(AXIS_TOPIC + name, AXIS_SIGNALS, (*_STAMP, *_SIGNALS))
         seconds, nanoseconds = (columns.pop(field) for field in _STAMP)
         time_ns = seconds.astype(np.int64) * _SECOND_NS + nanoseconds - self.epoch_offset_ns

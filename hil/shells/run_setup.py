@@ -25,11 +25,11 @@ from hil.core.gateway import Gateway
 from hil.core.rig import AxisSettings, Rig, read_rig
 from hil.core.setpoints import HOLD, Setpoint, check_speed, check_within, csv_file, parse_setpoint
 from hil.core.suggestions import did_you_mean
+from hil.host.controller_files import controller_path
 from hil.host.text_file import MAX_TABLE_BYTES, read_text
 
 PACKAGE = Path(__file__).parents[1]
 SHIPPED = PACKAGE / "shipped"
-SHIPPED_CONTROLLERS = SHIPPED / "controllers"
 RIG_NAME = "rig.toml"
 DBC_NAME = "arm.dbc"
 
@@ -142,9 +142,9 @@ def load_setup(
         of_axis = f"{sources[RIG_NAME]}: axes.{name}"
         if name in controllers:
             origin = origins.get(f"controllers.{name}", f"--controller {name}")
-            path = _controller_path(controllers[name], Path(), origin)
+            path = controller_path(controllers[name], Path(), origin)
         else:
-            path = _controller_path(axis.controller, base, f"{of_axis}.controller")
+            path = controller_path(axis.controller, base, f"{of_axis}.controller")
         document = f"controllers/{name}.json"
         texts[document], sources[document] = read_text(path), str(path)
         chosen[name] = setpoints.get(name, axis.setpoint)
@@ -226,33 +226,6 @@ def calibration_setup(setup: RunSetup, axis: str, source: str) -> RunSetup:
     text = calibration_text(setup.texts[RIG_NAME], axis, source)
     setpoints = {name: setpoint.text for name, setpoint in setup.setpoints.items()}
     return setup_from_texts({**setup.texts, RIG_NAME: text}, setpoints, {RIG_NAME: source})
-
-
-def shipped_controllers() -> list[str]:
-    """Return the names of the controllers that the package contains."""
-    return sorted(path.stem for path in SHIPPED_CONTROLLERS.glob("*.json"))
-
-
-def controller_path(name: str) -> Path:
-    """Return the file of a shipped controller by its name, or the file ``name``. Raises DocumentError."""
-    return _controller_path(name, Path(), "")
-
-
-def _controller_path(name: str, base: Path, origin: str) -> Path:
-    """Return the file of a shipped controller, or a file relative to ``base``.
-
-    ``origin`` is where the controller is named, for errors. Raises DocumentError.
-    """
-    shipped = shipped_controllers()
-    if name in shipped:
-        return SHIPPED_CONTROLLERS / f"{name}.json"
-    path = base / name
-    if not path.exists():
-        raise DocumentError(
-            f"{origin}{': ' if origin else ''}controller {name!r}: there is no file {path}, and no shipped "
-            f"controller has this name ({', '.join(shipped)}){did_you_mean(name, shipped)}"
-        )
-    return path
 
 
 def _document(texts: Mapping[str, str], name: str) -> str:

@@ -15,8 +15,8 @@ from firmware_sim.boards.faults import AdcFaults
 from hil.cli import main
 from hil.core.frames import Frame
 from hil.core.life_cycle import LifeCycleState
+from hil.host.controller_files import SHIPPED_CONTROLLERS
 from hil.recording.reader import Recording
-from hil.shells.run_setup import SHIPPED_CONTROLLERS
 
 AXES = ("vertical", "horizontal", "rotation")
 RUNNING = LifeCycleState.RUNNING

@@ -22,6 +22,7 @@ from hil.core.errors import LinkError
 from hil.core.frames import Frame
 from hil.core.gateway import Gateway
 from hil.core.output import Cycle, LogEntry
+from hil.host.controller_files import SHIPPED_CONTROLLERS
 from hil.links import Received
 from hil.operation.pipe import Asked, FromLoop, Replied, pipe
 from hil.operation.protocol import (
@@ -40,7 +41,7 @@ from hil.shells import realtime
 from hil.shells.observers import Observers
 from hil.shells.operator_port import Described, OperatorPort
 from hil.shells.run_plan import Ending, OperatorPlan, StopRequest
-from hil.shells.run_setup import SHIPPED_CONTROLLERS, load_setup
+from hil.shells.run_setup import load_setup
 from hil.shells.session import Session
 
 PERIOD_NS = 11_200_000

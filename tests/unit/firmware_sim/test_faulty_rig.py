@@ -207,6 +207,8 @@ def test_an_injected_fault_counts_from_now() -> None:
     ("fault", "problem"),
     [
         ("freeze-sensor:elbow@0", "fault 'freeze-sensor:elbow@0': no axis 'elbow'; the rig has vertical"),
+        ("freeze-sensor:vertcal@0", "horizontal, rotation; did you mean vertical?"),
+        ("hang:adc@vertcal>1", "horizontal, rotation; did you mean vertical?"),
         ("hang:adc@elbow>1", "when: no axis 'elbow'; the rig has vertical, horizontal, rotation"),
         (
             "payload:3@0",

@@ -24,7 +24,7 @@ from design.synthesis.baselines import (
     ziegler_nichols,
 )
 from hil.core.controller_file import PidLaw, read_controller
-from hil.shells.run_setup import SHIPPED_CONTROLLERS
+from hil.host.controller_files import SHIPPED_CONTROLLERS
 
 WITHOUT_DELAY = Sampling(PERIOD_S, delay_samples=0)
 

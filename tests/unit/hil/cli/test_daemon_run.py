@@ -13,6 +13,7 @@ from hil.cli import daemon_run, main
 from hil.core.errors import OperationError, RequestRefusedError
 from hil.host.realtime_rights import Rights
 from hil.operation.client import Client, connect
+from hil.operation.socket_path import listening
 from hil.recording.reader import Recording
 from hil.recording.recorder import FAULT_SOURCE
 from hil.shells.replay import verify
@@ -96,3 +97,12 @@ def test_a_daemon_that_records_nothing(tmp_path: Path) -> None:
         client.shutdown()
     assert daemon.end() == 0
     assert not list(tmp_path.rglob("*.mcap"))
+
+
+def test_another_daemon_can_begin_when_hil_shutdown_returns(tmp_path: Path) -> None:
+    daemon = DaemonThread(tmp_path / "s", "--no-record", "--linear")
+    daemon.client().close()
+    assert main(["shutdown", "--socket", str(daemon.path)]) == 0
+    with listening(daemon.path):
+        pass
+    assert daemon.end() == 0

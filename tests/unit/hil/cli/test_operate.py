@@ -299,6 +299,23 @@ def test_a_shutdown_of_a_daemon_that_ends_meanwhile_does_not_claim_that_the_valv
     assert capsys.readouterr().err == f"hil arm: {path}: the daemon closed the connection\n"
 
 
+def test_a_shutdown_says_that_a_daemon_does_not_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(operate, "SHUTDOWN_TIMEOUT_S", 0.0)
+    with served(tmp_path) as (loop, path):  # has the socket until the end of this block
+
+        def reply(asked: Asked) -> None:
+            loop.send(Replied(asked.number, True, "the daemon ends"))
+            loop.end.shutdown(2)
+
+        loop.reply = reply
+        assert main(["shutdown", "--socket", str(path)]) == 1
+    error = capsys.readouterr().err
+    assert "the daemon has taken the request, but" in error
+    assert "is still in use after 0 s, the limit" in error
+
+
 def test_an_event_is_checked_by_the_daemon(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     loop, at = bench
     assert main(["event", "payload:3", *at]) == 1

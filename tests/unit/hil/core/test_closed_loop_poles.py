@@ -14,7 +14,8 @@ from hil.core.closed_loop_poles import check_closed_loop, largest_pole
 from hil.core.control_law import realise
 from hil.core.controller_file import ControllerFile, Law, PidLaw, StateSpaceLaw, TransferFunctionLaw
 from hil.core.errors import DocumentError
-from hil.shells.run_setup import SHIPPED_CONTROLLERS, load_controller
+from hil.host.controller_files import SHIPPED_CONTROLLERS
+from hil.shells.run_setup import load_controller
 
 EQ_15 = {"num": [0.47947, 0.47947 * 90.76], "den": np.polymul([1.0, 0.4231], [1.0, 16.97, 167.9]).tolist()}
 LAWS: list[Law] = [

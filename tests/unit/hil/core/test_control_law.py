@@ -18,7 +18,7 @@ from firmware_sim.plants.linear_plant import LinearPlant
 from hil.core.control_law import ControlLaw, anti_windup_gain, check_law_runs, realise
 from hil.core.controller_file import Law, PidLaw, StateSpaceLaw, TransferFunctionLaw, read_controller
 from hil.core.errors import DocumentError
-from hil.shells.run_setup import SHIPPED_CONTROLLERS, shipped_controllers
+from hil.host.controller_files import SHIPPED_CONTROLLERS, shipped_controllers
 
 TS = 0.0112
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from hil.core.controller_file import (
 )
 from hil.core.documents import to_json
 from hil.core.errors import DocumentError
-from hil.shells.run_setup import SHIPPED_CONTROLLERS, shipped_controllers
+from hil.host.controller_files import SHIPPED_CONTROLLERS, shipped_controllers
 
 PID: dict[str, Any] = {
     "format": "hil-controller",

@@ -16,15 +16,17 @@ import pytest
 from support.operation_bench import FACTS, TIMEOUT_S, MadeUpLoop, RawClient, served, status
 
 from hil.core.controller_change import PreparedController
-from hil.core.errors import OperationError, RequestRefusedError
+from hil.core.errors import DocumentError, OperationError, RequestRefusedError
 from hil.core.requests import ControllerRequest
 from hil.core.rig import Rig
+from hil.host.controller_files import SHIPPED_CONTROLLERS
 from hil.operation import peer, request_checks, server
 from hil.operation.client import connect
 from hil.operation.pipe import Replied
 from hil.operation.protocol import (
     MAX_CONNECTIONS,
     MAX_LINE_BYTES,
+    MAX_PROBLEM_CHARACTERS,
     PROTOCOL,
     VERSION,
     ArmCall,
@@ -38,7 +40,6 @@ from hil.operation.protocol import (
     SetpointsCall,
     ShutdownCall,
 )
-from hil.shells.run_setup import SHIPPED_CONTROLLERS
 
 Bench = tuple[MadeUpLoop, Path]
 
@@ -189,6 +190,32 @@ def test_a_controller_that_does_not_fit_the_axis_is_refused(
         client.set_controller(axis, SHIPPED_CONTROLLERS / f"{name}.json")
 
 
+def test_a_text_overrides_one_check(bench: Bench) -> None:
+    loop, path = bench
+    with connect(path) as client:
+        assert client.arm(override="SCHED_FIFO") == "done"
+        assert client.arm(override=["SCHED_FIFO", "memory-lock"]) == "done"
+        with pytest.raises(RequestRefusedError, match="--override foo: no check has this name"):
+            client.arm(override="foo")
+    assert [asked.call for asked in loop.asked] == [
+        ArmCall(id=1, override=("SCHED_FIFO",)),
+        ArmCall(id=2, override=("SCHED_FIFO", "memory-lock")),
+    ]
+
+
+def test_the_client_takes_the_names_of_shipped_controllers(bench: Bench) -> None:
+    loop, path = bench
+    with connect(path) as client:
+        assert client.check_controller("vertical", "hls") == "controller hls.json fits"
+        assert client.set_controller("vertical", "hls") == "done"
+        with pytest.raises(DocumentError, match=r"'ppdi': there is no file ppdi, .*; did you mean ppid\?"):
+            client.set_controller("vertical", "ppdi")
+    document = (SHIPPED_CONTROLLERS / "hls.json").read_text()
+    assert [asked.call for asked in loop.asked] == [
+        ControllerCall(id=2, axis="vertical", name="hls.json", document=document)
+    ]
+
+
 def test_an_event_is_checked_by_the_function_that_the_daemon_names(tmp_path: Path) -> None:
     facts = msgspec.structs.replace(FACTS, event_check="hil.core.setpoints:parse_setpoint")
     with served(tmp_path, facts) as (loop, path), connect(path) as client:
@@ -202,18 +229,45 @@ GARBAGE = [
     b"\n",
     b"GET / HTTP/1.1\n",
     b"\x00\xff\xfe\n",
-    b"{}\n",
     b"[]\n",
-    b'{"request": "fly"}\n',
-    b'{"request": "arm", "please": true}\n',
-    b'{"request": "arm", "id": -1}\n',
+    b'"arm"\n',
+    b'{"request": "fly"} {}\n',
     b'{"request": "jog", "axis": "vertical", "offset_v": NaN, "duration_s": 1}\n',
     b'{"request": "jog", "axis": "vertical", "offset_v": 1e999, "duration_s": 1}\n',
-    b'{"request": "jog", "axis": "vertical", "offset_v": 1, "duration_s": 0}\n',
-    b'{"request": "setpoint", "axis": "", "setpoint": "hold"}\n',
-    b'{"request": "watch", "interval_s": 1e-9}\n',
     b"[" * 50_000 + b"\n",
     b'{"a":' * 20_000 + b"\n",
+    b'{"a":' * 20_000 + b"1" + b"}" * 20_000 + b"\n",
+    b'{"request": "jog", "axis": "vertical", "offset_v": ' + b"9" * 100_000 + b', "duration_s": 1}\n',
+]
+
+WRONG = [
+    (b"{}", "missing key request, which must be 'status' or"),
+    (b'{"request": "fly"}', "request is 'fly', but must be 'status' or"),
+    (b'{"request": ["jog"]}', "request is a list, but must be a text"),
+    (b'{"request": "arm", "please": true}', "arm refused: unknown key please. Valid keys: request, ov"),
+    (b'{"request": "arm", "override": [1]}', "arm refused: override[0] is 1, but must be a text"),
+    (b'{"request": "arm", "override": "foo"}', "arm refused: override is 'foo', but must be a list"),
+    (
+        b'{"request": "jog", "axis": "vertical", "offset_v": 1, "duration_s": -1.0}',
+        "jog refused: duration_s is -1.0, but must be more than 0.0",
+    ),
+    (b'{"request": "jog", "axis": "vertical"}', "jog refused: missing keys offset_v, duration_s"),
+    (
+        b'{"request": "jog", "axis": "vertical", "offset_v": null, "duration_s": 1}',
+        "jog refused: offset_v is null, but must be a number",
+    ),
+    (
+        b'{"request": "setpoint", "axis": "", "setpoint": "hold"}',
+        "setpoint refused: axis has 0 characters, but must have at least 1",
+    ),
+    (
+        b'{"request": "setpoints", "setpoints": [{"axis": "a", "setpiont": "0"}]}',
+        "setpoints refused: setpoints[0]: unknown key setpiont; did you mean setpoint? Valid keys: axis, ",
+    ),
+    (b'{"request": "event", "text": ""}', "event refused: text has 0 characters, but must have at least 1"),
+    (b'{"request": "watch", "interval_s": 1e-9}', "interval_s is 1e-09, but must be at least 0.05"),
+    (b'{"request": "event", "text": ' + b"[" * 300 + b"]" * 300 + b"}", "text is a list, but must be a text"),
+    (b'{"request": "arm", "' + b"x" * 100_000 + b'": 1}', "arm refused: unknown key xxx"),
 ]
 
 
@@ -248,6 +302,42 @@ def test_garbage_is_answered_once_and_ends_the_connection(bench: Bench, garbage:
     with connect(path) as other:
         assert other.arm() == "done"
     assert len(loop.asked) == 1
+
+
+@pytest.mark.parametrize(("request_", "words"), WRONG)
+def test_a_wrong_key_or_value_is_refused_in_words_and_the_connection_goes_on(
+    bench: Bench, request_: bytes, words: str
+) -> None:
+    loop, path = bench
+    with RawClient(path) as client:
+        client.read()
+        client.send(request_.replace(b"{", b'{"id": 7, ', 1).replace(b", }", b"}") + b"\n")
+        answer = client.read()
+        assert (answer["id"], answer["accepted"]) == (7, False)
+        assert words in answer["text"]
+        assert len(answer["text"]) <= MAX_PROBLEM_CHARACTERS
+        client.send(b'{"request": "arm", "id": 8}\n')
+        assert client.read() == {"id": 8, "accepted": True, "text": "done"}
+    assert len(loop.asked) == 1
+
+
+@pytest.mark.parametrize("number", [b"-1", b"true", b"1.5", b"9007199254740993", b'"7"'])
+def test_a_request_with_a_wrong_id_is_answered_with_id_0(bench: Bench, number: bytes) -> None:
+    with RawClient(bench[1]) as client:
+        client.read()
+        client.send(b'{"request": "arm", "id": ' + number + b"}\n")
+        answer = client.read()
+    assert answer["id"] == 0
+    assert answer["text"].startswith("arm refused: id is ")
+
+
+def test_the_client_goes_on_after_a_wrong_value(bench: Bench) -> None:
+    with connect(bench[1]) as client:
+        with pytest.raises(RequestRefusedError, match=r"^jog refused: duration_s is -1\.0, but must be more"):
+            client.jog("vertical", 0.5, -1.0)
+        with pytest.raises(RequestRefusedError, match=r"^event refused: text has 0 characters"):
+            client.event("")
+        assert client.stop() == "done"
 
 
 def test_an_endless_line_ends_the_connection_and_is_not_kept(bench: Bench) -> None:

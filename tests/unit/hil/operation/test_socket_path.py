@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 import stat
+import threading
 from pathlib import Path
 
 import pytest
 
 from hil.core.errors import OperationError
+from hil.operation import socket_path
 from hil.operation.client import connect
-from hil.operation.socket_path import default_path, listening
+from hil.operation.socket_path import await_release, default_path, listening
 
 
 def test_the_default_is_in_the_runtime_folder(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,10 +47,68 @@ def test_the_file_is_private_and_removed_at_the_end(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_two_daemons_do_not_share_a_socket(tmp_path: Path) -> None:
+def test_two_daemons_do_not_share_a_socket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket_path, "GREETING_TIMEOUT_S", 0.0)  # nobody serves: the socket only listens
     path = tmp_path / "d.sock"
     with listening(path), pytest.raises(OperationError, match="another daemon serves"), listening(path):
         pass
+
+
+@pytest.mark.parametrize("has_file", [True, False])
+def test_a_daemon_that_is_ending_is_not_called_another_one(tmp_path: Path, has_file: bool) -> None:
+    path = tmp_path / "d.sock"
+    with listening(path) as listener:
+        listener.close()
+        if not has_file:
+            path.unlink()
+        with (
+            pytest.raises(OperationError, match=r"a daemon at .*d\.sock is still ending; try again"),
+            listening(path),
+        ):
+            pass
+
+
+def test_a_daemon_that_ends_without_a_greeting_is_ending(tmp_path: Path) -> None:
+    path = tmp_path / "d.sock"
+    with listening(path) as listener:
+
+        def end() -> None:
+            select.select([listener], [], [])
+            listener.close()
+
+        thread = threading.Thread(target=end, daemon=True)
+        thread.start()
+        with pytest.raises(OperationError, match="is still ending"), listening(path):
+            pass
+        thread.join()
+
+
+def test_the_release_of_a_socket_is_awaited(tmp_path: Path) -> None:
+    path = tmp_path / "d.sock"
+    assert await_release(path, 0.0), "no daemon was ever there"
+    is_ending = threading.Event()
+
+    def hold() -> None:
+        with listening(path):
+            is_held.set()
+            is_ending.wait()
+
+    is_held = threading.Event()
+    thread = threading.Thread(target=hold, daemon=True)
+    thread.start()
+    is_held.wait()
+    assert not await_release(path, 0.0)
+    is_ending.set()
+    assert await_release(path, 20.0)
+    thread.join()
+    with listening(path):
+        pass
+
+
+def test_a_lock_file_that_cannot_be_read_is_explained(tmp_path: Path) -> None:
+    (tmp_path / "d.sock.lock").symlink_to(tmp_path)
+    with pytest.raises(OperationError, match=r"d\.sock\.lock: cannot be read"):
+        await_release(tmp_path / "d.sock", 0.0)
 
 
 def test_the_socket_of_a_daemon_that_was_killed_is_taken_over(tmp_path: Path) -> None:

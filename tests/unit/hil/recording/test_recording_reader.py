@@ -188,6 +188,8 @@ def test_timing_is_in_monotonic_nanoseconds(recording: Recording) -> None:
 def test_an_unknown_axis_is_named_with_those_that_exist(recording: Recording) -> None:
     with pytest.raises(RecordingError, match=r"no axis 'elbow'; the recording has vertical, horizontal, rot"):
         recording.axis("elbow")
+    with pytest.raises(RecordingError, match=r"no axis 'vertcal'; .*; did you mean vertical\?"):
+        recording.axis("vertcal")
 
 
 instants = st.integers(0, 10**17)

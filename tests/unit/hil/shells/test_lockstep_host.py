@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -70,3 +71,16 @@ def test_a_recording_is_not_overwritten(tmp_path: Path) -> None:
 def test_a_table_of_an_axis_that_the_rig_does_not_have_is_an_error() -> None:
     with pytest.raises(HilError, match="no axis 'elbow'; the rig has vertical, horizontal, rotation"):
         running_rig().axis("elbow")
+    with pytest.raises(HilError, match=r"no axis 'vertcal'; .*; did you mean vertical\?"):
+        running_rig().axis("vertcal")
+
+
+def test_simulated_time_never_goes_back() -> None:
+    rig = LockstepRig()
+    with pytest.raises(HilError, match="periods is -1, but must be at least 0"):
+        rig.step(-1)
+    for duration_s in (-1.0, math.nan, math.inf):
+        with pytest.raises(HilError, match=f"duration_s is {duration_s:g} s, but must be finite and at"):
+            rig.run(duration_s)
+    rig.run(0.0)
+    assert rig.cycles == []

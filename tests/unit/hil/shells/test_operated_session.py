@@ -20,10 +20,10 @@ from hil.core.requests import (
     Request,
     SetpointRequest,
 )
+from hil.host.controller_files import SHIPPED_CONTROLLERS
 from hil.recording.entries import Operated
 from hil.recording.reader import Recording
 from hil.shells.replay import verify
-from hil.shells.run_setup import SHIPPED_CONTROLLERS
 
 WHO = "uid 1000, pid 4711"
 NO_FIFO = CheckFailure("SCHED_FIFO", "this machine refuses it")

@@ -14,6 +14,7 @@ from hil.core.life_cycle import LifeCycleState
 from hil.core.output import LogEntry, Severity
 from hil.core.requests import CheckFailure, Reply, SetpointRequest
 from hil.core.setpoint_change import prepare_setpoint
+from hil.host.controller_files import SHIPPED_CONTROLLERS
 from hil.operation.pipe import Asked, FromLoop, Logged, Replied, StatusNow, pipe
 from hil.operation.protocol import (
     ArmCall,
@@ -42,7 +43,6 @@ from hil.shells.operator_port import (
     OperatorPort,
 )
 from hil.shells.run_plan import CENTRING_PERIODS, Ending
-from hil.shells.run_setup import SHIPPED_CONTROLLERS
 
 WHO = "alice (hil, process 7)"
 

@@ -15,13 +15,14 @@ from support.gateway_bench import EXAMPLE_RIG, rig_text
 from hil.cli import doctor as command
 from hil.core.errors import DocumentError
 from hil.core.rig import read_rig
+from hil.host.controller_files import SHIPPED_CONTROLLERS
 from hil.host.doctor import Check, CheckVerdict, can_interface
 from hil.host.doctor.can_interface import bus_of_rig, link_details
 from hil.host.doctor.check import check
 from hil.host.realtime_rights import Right, Rights
 from hil.shells import preflight as module
 from hil.shells.preflight import missing_rights, preflight
-from hil.shells.run_setup import SHIPPED_CONTROLLERS, load_setup
+from hil.shells.run_setup import load_setup
 
 UP = {"flags": ["UP"], "linkinfo": {"info_data": {"bittiming": {"bitrate": 500000}, "state": "ERROR-ACTIVE"}}}
 

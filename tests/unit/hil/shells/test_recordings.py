@@ -13,12 +13,13 @@ from support.operated_runs import OperatedRun
 from hil.core.errors import RecordingError
 from hil.core.life_cycle import LifeCycleState, Trigger
 from hil.core.requests import ControllerRequest, JogRequest, Request, SetpointRequest
+from hil.host.controller_files import SHIPPED_CONTROLLERS
 from hil.recording.entries import Operated
 from hil.recording.no_recorder import NoRecorder
 from hil.recording.reader import Recording
 from hil.shells.recordings import RotationLimits
 from hil.shells.replay import setup_of, verify
-from hil.shells.run_setup import SHIPPED, SHIPPED_CONTROLLERS
+from hil.shells.run_setup import SHIPPED
 from hil.shells.session import Session
 
 WHO = "uid 1000"

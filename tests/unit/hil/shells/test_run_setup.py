@@ -13,15 +13,9 @@ from support.gateway_bench import rig_text
 
 from hil.core.errors import DocumentError, HilError, SetpointError
 from hil.core.life_cycle import LifeCycleState
+from hil.host.controller_files import SHIPPED_CONTROLLERS, shipped_controllers
 from hil.host.text_file import MAX_DOCUMENT_BYTES
-from hil.shells.run_setup import (
-    SHIPPED_CONTROLLERS,
-    RunSetup,
-    load_setup,
-    read_text,
-    setup_from_texts,
-    shipped_controllers,
-)
+from hil.shells.run_setup import RunSetup, load_setup, read_text, setup_from_texts
 
 MINE: dict[str, Any] = json.loads((SHIPPED_CONTROLLERS / "ppid.json").read_text())
 

@@ -10,6 +10,7 @@ import pytest
 from support.constants import PERIOD_NS, PERIOD_S
 from support.recorded_runs import lag, step
 
+from hil.core.errors import HilError
 from hil.lockstep_rig import LockstepRig
 from hil.recording.tables import AxisTable
 from hil.testing import assert_step_response, assert_within_limits
@@ -175,3 +176,9 @@ def test_the_limits_of_the_rig_file_are_the_default(rig: LockstepRig) -> None:
 def test_an_axis_must_be_named_if_there_are_several(rig: LockstepRig) -> None:
     with pytest.raises(AssertionError, match="name the axis to judge: vertical, horizontal, rotation"):
         assert_step_response(rig)
+
+
+def test_a_mistyped_axis_is_refused_with_the_nearest_name() -> None:
+    for judge in (assert_step_response, assert_within_limits):
+        with pytest.raises(HilError, match=r"no axis 'vertcal'; .*; did you mean vertical\?"):
+            judge(LockstepRig(), "vertcal")
