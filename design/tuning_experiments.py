@@ -197,5 +197,8 @@ def _run(command: list[str], *, captured: bool) -> tuple[int, str]:
 
 
 def end_with_parent() -> None:
-    """Have the kernel interrupt this process when its parent dies. Runs in the child, before it executes."""
-    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGINT, 0, 0, 0)
+    """Have the kernel end this process in good order when its parent dies. Runs in the child, before exec.
+
+    By SIGTERM: a process that a shell runs in the background, and its children, ignore SIGINT.
+    """
+    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGTERM, 0, 0, 0)

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from hil.recording.reader import Recording
     from hil.shells.run_setup import load_controller, load_rig
 
-__version__ = "0.6.0"
+__version__ = "0.7.0"
 
 _HOMES = {
     "Client": "hil.operation.client",

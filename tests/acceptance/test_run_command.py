@@ -240,14 +240,17 @@ def test_an_internal_error_ends_the_run_and_is_reported_without_a_traceback(
 
 def test_signals_end_the_program_only_after_the_recording_is_closed() -> None:
     """A second Ctrl-C ends summary and plots, which may take long."""
-    before = signal.getsignal(signal.SIGINT)
-    with run_parts.stop_on_signals() as stop:
-        signal.raise_signal(signal.SIGINT)
-        signal.raise_signal(signal.SIGINT)
-        assert stop.is_set
-    assert signal.getsignal(signal.SIGINT) is before
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
+    given = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+    try:
+        with run_parts.stop_on_signals() as stop:
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+            assert stop.is_set
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, given)
 
 
 def test_the_plot_is_drawn_even_if_nobody_reads_the_output(tmp_path: Path) -> None:
