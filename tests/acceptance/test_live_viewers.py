@@ -61,8 +61,8 @@ def daemon(folder: Path) -> Iterator[Run]:
         feed = FeedReader(link_beside(Path(at)))
         start_ns = feed.run.start_ns
         feed.close()
-        server = server_of(process.pid)
         try:
+            server = server_of(process.pid)
             yield Run(address, server, recording, start_ns)
             assert server_of(process.pid) == server
         finally:

@@ -7,10 +7,13 @@ its standard input ends, it prints the times of all rows.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
+import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +22,7 @@ import numpy as np
 from tornado.websocket import websocket_connect
 
 TIMEOUT_S = 60.0
+SERVER_TIMEOUT_S = 10.0
 MISSED = "periods that this page missed"
 
 
@@ -114,10 +118,17 @@ def view(address: str) -> None:
 
 
 def server_of(process_id: int, module: str = "hil.live.server") -> int:
-    """Return the id of the process that serves the page, a child of ``process_id``."""
-    for child in Path(f"/proc/{process_id}/task/{process_id}/children").read_text().split():
-        if module.encode() in Path(f"/proc/{child}/cmdline").read_bytes():
-            return int(child)
+    """Return the id of the process that serves the page, a child of ``process_id``.
+
+    The kernel's list of children may lack one while another begins or ends (proc(5)), so it is read again.
+    """
+    end_s = time.monotonic() + SERVER_TIMEOUT_S
+    while time.monotonic() < end_s:
+        for child in Path(f"/proc/{process_id}/task/{process_id}/children").read_text().split():
+            with contextlib.suppress(OSError):
+                if module.encode() in Path(f"/proc/{child}/cmdline").read_bytes():
+                    return int(child)
+        os.sched_yield()
     raise AssertionError(f"{process_id} has no child {module}")
 
 
